@@ -1,0 +1,234 @@
+"""The two big streams of a camera: `Events` (raw) and `Onsets` (compact), as arrays in memory and on the wire.
+
+Events, body on the wire (little-endian, struct of arrays: 8.1 bytes an event)::
+
+    camera str, stream str, width int, height int, t0_us int, t1_us int, end bool,
+    n int, dt_us bytes(4 n: u4, t - t0_us),
+    x_px bytes(2 n: u2), y_px bytes(2 n: u2), on bytes(ceil(n / 8): bits, LSB first)
+
+Onsets, body on the wire (6 bytes an active pixel and tick, 2 a tick)::
+
+    camera, stream, width, height, t0_us, t1_us, end as above, tick_us int, pool_px int,
+    n int, per_tick bytes(2 k: u2, active pixels of each of the k = (t1 - t0) / tick ticks; their sum is n),
+    x_px bytes(2 n: u2), y_px bytes(2 n: u2), on_count bytes(n: u1), off_count bytes(n: u1)
+
+`t1_us` is a watermark: with this message everything before t1_us has been delivered. A message may be empty: it then
+says that the camera saw nothing. `stream` names one run of a camera: when it changes, time starts anew.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, ClassVar, Final, Self
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+from msgspec import Meta
+
+from heliograph.events import EventBatch, checked
+from heliograph.messages import WINDOW_LIMIT_US, Message, Name, Side, TimeUs
+
+# A message of more events than this is split by the source (10k events are 81 kB); receivers allow what a burst of
+# the fastest sensor puts into one window, and refuse beyond.
+EVENTS_LIMIT: Final = 4_000_000
+TICKS_LIMIT: Final = 65_535
+
+Counts = npt.NDArray[np.uint8]
+
+
+class _Window(msgspec.Struct, frozen=True, kw_only=True):
+    """The fields that both bodies share."""
+
+    camera: Name
+    stream: Name
+    width: Side
+    height: Side
+    t0_us: TimeUs
+    t1_us: TimeUs
+    end: bool
+
+    def check(self) -> None:
+        if not 0 <= self.t1_us - self.t0_us <= WINDOW_LIMIT_US:
+            raise ValueError(f"window [{self.t0_us}, {self.t1_us}) must be 0 to {WINDOW_LIMIT_US} us long")
+
+
+class _EventsBody(_Window, frozen=True, kw_only=True):
+    n: Annotated[int, Meta(ge=0, le=EVENTS_LIMIT)]
+    dt_us: bytes
+    x_px: bytes
+    y_px: bytes
+    on: bytes
+
+
+class _OnsetsBody(_Window, frozen=True, kw_only=True):
+    tick_us: Annotated[int, Meta(ge=1, le=1_000_000)]
+    pool_px: Annotated[int, Meta(ge=1, le=64)]
+    n: Annotated[int, Meta(ge=0, le=EVENTS_LIMIT)]
+    per_tick: bytes
+    x_px: bytes
+    y_px: bytes
+    on_count: bytes
+    off_count: bytes
+
+
+def _array(name: str, raw: bytes, dtype: str, n: int) -> npt.NDArray[Any]:
+    wanted = n * np.dtype(dtype).itemsize
+    if len(raw) != wanted:
+        raise ValueError(f"{name} must have {wanted} bytes for {n} entries, not {len(raw)}")
+    return np.frombuffer(raw, dtype)
+
+
+class Events(Message, frozen=True, kw_only=True):
+    """Raw events of one window [t0_us, t1_us) of a camera of width x height pixels."""
+
+    SCHEMA: ClassVar[str] = "events"
+    camera: str
+    stream: str
+    width: int
+    height: int
+    t0_us: int
+    t1_us: int
+    batch: EventBatch
+    end: bool = False
+
+    def to_body(self) -> dict[str, Any]:
+        """Return the body of the module's table."""
+        b = self.batch
+        head = {name: getattr(self, name) for name in _Window.__struct_fields__}
+        return head | {
+            "n": len(b),
+            "dt_us": (b.t_us - self.t0_us).astype("<u4").tobytes(),
+            "x_px": b.x_px.astype("<u2", copy=False).tobytes(),
+            "y_px": b.y_px.astype("<u2", copy=False).tobytes(),
+            "on": np.packbits(b.on, bitorder="little").tobytes(),
+        }
+
+    @classmethod
+    def from_body(cls, body: dict[str, Any]) -> Self:
+        """Return the record of a body, checked: order, range and the window.
+
+        Raises:
+            ValueError: the body breaks the module's table.
+        """
+        raw = msgspec.convert(body, _EventsBody, strict=True)
+        raw.check()
+        bits = _array("on", raw.on, "u1", (raw.n + 7) // 8)
+        batch = EventBatch(
+            _array("dt_us", raw.dt_us, "<u4", raw.n).astype(np.int64) + raw.t0_us,
+            _array("x_px", raw.x_px, "<u2", raw.n).astype(np.uint16, copy=False),
+            _array("y_px", raw.y_px, "<u2", raw.n).astype(np.uint16, copy=False),
+            np.unpackbits(bits, count=raw.n, bitorder="little").astype(np.bool_),
+        )
+        checked(batch, raw.width, raw.height)
+        # The last event may lie on the watermark: a window of more than the source's limit is split there.
+        if raw.n and batch.t_us[-1] > raw.t1_us:
+            raise ValueError(f"event at {batch.t_us[-1]} us lies behind the window's end {raw.t1_us} us")
+        return cls(
+            camera=raw.camera,
+            stream=raw.stream,
+            width=raw.width,
+            height=raw.height,
+            t0_us=raw.t0_us,
+            t1_us=raw.t1_us,
+            batch=batch,
+            end=raw.end,
+        )
+
+    @property
+    def time_us(self) -> int:
+        """The watermark."""
+        return self.t1_us
+
+
+class Onsets(Message, frozen=True, kw_only=True):
+    """The active pixels of whole ticks of a window, gated and pooled at the source.
+
+    Args:
+        tick_us: length of a tick; t0_us and t1_us are multiples of it.
+        pool_px: side of the square of sensor pixels that one entry stands for; x_px, y_px count such squares.
+        tick: (n,) uint16, not falling: an entry's tick, counted from t0_us.
+        x_px: (n,) uint16.
+        y_px: (n,) uint16; within a tick, entries rise by (y, x).
+        on_count: (n,) uint8, events that became brighter; 255 means 255 or more.
+        off_count: (n,) uint8, events that became darker.
+    """
+
+    SCHEMA: ClassVar[str] = "onsets"
+    camera: str
+    stream: str
+    width: int
+    height: int
+    t0_us: int
+    t1_us: int
+    tick_us: int
+    pool_px: int
+    tick: npt.NDArray[np.uint16]
+    x_px: npt.NDArray[np.uint16]
+    y_px: npt.NDArray[np.uint16]
+    on_count: Counts
+    off_count: Counts
+    end: bool = False
+
+    @property
+    def ticks(self) -> int:
+        """The number of whole ticks in the window."""
+        return (self.t1_us - self.t0_us) // self.tick_us
+
+    def to_body(self) -> dict[str, Any]:
+        """Return the body of the module's table."""
+        head = {name: getattr(self, name) for name in _Window.__struct_fields__}
+        per_tick = np.bincount(self.tick, minlength=self.ticks).astype("<u4")
+        if per_tick.size and per_tick.max() > np.iinfo(np.uint16).max:
+            # Where more than 65535 pixels are active in a tick the sensor is flooded; pooling must be raised.
+            raise ValueError(f"at most 65535 active pixels a tick fit the wire, not {per_tick.max()}: pool more")
+        return head | {
+            "tick_us": self.tick_us,
+            "pool_px": self.pool_px,
+            "n": len(self.tick),
+            "per_tick": per_tick.astype("<u2").tobytes(),
+            "x_px": self.x_px.astype("<u2", copy=False).tobytes(),
+            "y_px": self.y_px.astype("<u2", copy=False).tobytes(),
+            "on_count": self.on_count.tobytes(),
+            "off_count": self.off_count.tobytes(),
+        }
+
+    @classmethod
+    def from_body(cls, body: dict[str, Any]) -> Self:
+        """Return the record of a body, checked: whole ticks, sums, range.
+
+        Raises:
+            ValueError: the body breaks the module's table.
+        """
+        raw = msgspec.convert(body, _OnsetsBody, strict=True)
+        raw.check()
+        span = raw.t1_us - raw.t0_us
+        if span % raw.tick_us or raw.t0_us % raw.tick_us or span // raw.tick_us > TICKS_LIMIT:
+            raise ValueError(f"window [{raw.t0_us}, {raw.t1_us}) must hold whole ticks of {raw.tick_us} us")
+        per_tick = _array("per_tick", raw.per_tick, "<u2", span // raw.tick_us)
+        if int(per_tick.sum(dtype=np.int64)) != raw.n:
+            raise ValueError(f"per_tick must add up to n = {raw.n}, not {per_tick.sum(dtype=np.int64)}")
+        x_px = _array("x_px", raw.x_px, "<u2", raw.n).astype(np.uint16, copy=False)
+        y_px = _array("y_px", raw.y_px, "<u2", raw.n).astype(np.uint16, copy=False)
+        if raw.n and (x_px.max() * raw.pool_px >= raw.width or y_px.max() * raw.pool_px >= raw.height):
+            raise ValueError(f"({x_px.max()}, {y_px.max()}) lies outside {raw.width}x{raw.height}")
+        return cls(
+            camera=raw.camera,
+            stream=raw.stream,
+            width=raw.width,
+            height=raw.height,
+            t0_us=raw.t0_us,
+            t1_us=raw.t1_us,
+            tick_us=raw.tick_us,
+            pool_px=raw.pool_px,
+            tick=np.repeat(np.arange(len(per_tick), dtype=np.uint16), per_tick),
+            x_px=x_px,
+            y_px=y_px,
+            on_count=_array("on_count", raw.on_count, "u1", raw.n),
+            off_count=_array("off_count", raw.off_count, "u1", raw.n),
+            end=raw.end,
+        )
+
+    @property
+    def time_us(self) -> int:
+        """The watermark."""
+        return self.t1_us

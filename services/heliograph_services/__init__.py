@@ -1,0 +1,1 @@
+"""The processes of heliograph, one package each; they share messages, never code."""

@@ -1,0 +1,1 @@
+"""From events and tracks to frames, identifications and messages."""

@@ -1,0 +1,1 @@
+"""Counts, refusals and accuracy of a running site, kept in a file."""

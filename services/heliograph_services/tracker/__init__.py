@@ -1,0 +1,1 @@
+"""From onsets to tracks: cluster, predict, associate, update, initiate, delete."""
