@@ -1,0 +1,301 @@
+"""A process's connection to the bus: records out, bounded queues of bytes in, and every gap counted.
+
+Publishing follows `heliograph.qos`; a topic with history goes through Zenoh's advanced publisher, whose cache serves
+late and cut-off readers. Receiving: a channel and a reader thread each subscription, which only moves bytes into the
+`Inbox`; unpacking and the core run elsewhere.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import secrets
+import threading
+import time
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, Final
+
+import zenoh
+import zenoh.ext
+
+from heliograph.errors import BusError, Refusal, Refusals
+from heliograph.keys import everything_of, key, key_of, parse
+from heliograph.messages import Message
+from heliograph.qos import PROFILES, Profile
+from heliograph.shell.inbox import Inbox, Sample
+from heliograph.shell.process import Stop
+from heliograph.wire import Header, Refused, encoding_of, header_for, pack, unpack
+
+_LOG = logging.getLogger(__name__)
+
+# What may wait for the core, by topic. Events come in 1 to 10 ms batches: 500 are half a second and more, at which
+# a live decoder is hopelessly late and should drop. Everything else is small and rarer.
+_QUEUE_LIMIT: Final = 4096
+_EVENTS_QUEUE_LIMIT: Final = 500
+# Zenoh's own channel between its network thread and our reader; a full one would block the link (all keys).
+_CHANNEL: Final = 8192
+# A state's key lives as long as its track; the oldest give way, with their history.
+_PUBLISHERS_LIMIT: Final = 512
+# Senders whose numbering is followed; a flood of invented senders must not fill the memory.
+_SENDERS_LIMIT: Final = 1024
+_HEARTBEAT_S: Final = 0.5
+
+_PRIORITIES: Final = {
+    "real_time": zenoh.Priority.REAL_TIME,
+    "interactive_high": zenoh.Priority.INTERACTIVE_HIGH,
+    "data_high": zenoh.Priority.DATA_HIGH,
+    "data": zenoh.Priority.DATA,
+    "data_low": zenoh.Priority.DATA_LOW,
+    "background": zenoh.Priority.BACKGROUND,
+}
+
+
+def open_session(config: dict[str, Any], stop: Stop | None = None) -> zenoh.Session | None:
+    """Return an open session, or None where a stop came first.
+
+    `zenoh.open` blocks until a router answers, deaf to signals; so it waits in a thread of its own.
+
+    Raises:
+        BusError: the links cannot be opened.
+    """
+    result: list[zenoh.Session | BaseException] = []
+
+    def run() -> None:
+        try:
+            result.append(zenoh.open(zenoh.Config.from_json5(json.dumps(config))))
+        except Exception as error:  # noqa: BLE001 - ZError is a plain Exception; told in the caller's thread
+            result.append(error)
+
+    thread = threading.Thread(target=run, daemon=True, name="zenoh-open")
+    thread.start()
+    while thread.is_alive():
+        thread.join(0.05)
+        if stop:
+            return None
+    if isinstance(result[0], BaseException):
+        endpoints = ", ".join(config["connect"]["endpoints"] or config.get("listen", {}).get("endpoints", []))
+        first_line = str(result[0]).splitlines()[0]
+        raise BusError(f"cannot open the bus at {endpoints}: {first_line[:200]}")
+    return result[0]
+
+
+class Gaps:
+    """Follows the numbering of each sender on each key, and counts what is missing."""
+
+    def __init__(self) -> None:
+        self._next: OrderedDict[tuple[str, str, str], int] = OrderedDict()
+        self.missing: Counter[str] = Counter()
+
+    def see(self, topic: str, key_text: str, header: Header, *, from_start: bool = False) -> int:
+        """Return how many messages are missing before this one; a repeated or older one counts as none.
+
+        Args:
+            topic: under which the gap is counted.
+            key_text: the sample's key.
+            header: its header.
+            from_start: whether an unknown sender's first message must be number 0.
+        """
+        sender = (header.source, header.boot, key_text)
+        expected = self._next.pop(sender, 0 if from_start else header.seq)
+        self._next[sender] = max(header.seq + 1, expected)
+        if len(self._next) > _SENDERS_LIMIT:
+            self._next.popitem(last=False)
+        missing = max(0, header.seq - expected)
+        if missing:
+            self.missing[topic] += missing
+        return missing
+
+
+class Bus:
+    """One process on the bus of a site.
+
+    Args:
+        session: an open Zenoh session; the caller closes it.
+        site: the site's name.
+        source: "{service}/{instance}", as it stands in every envelope.
+    """
+
+    def __init__(self, session: zenoh.Session, site: str, source: str) -> None:
+        self.site = site
+        self.boot = secrets.token_hex(4)
+        self.inbox: Inbox | None = None
+        self.gaps = Gaps()
+        self.refusals: Refusals = Counter()
+        self.published: Counter[str] = Counter()
+        self.received: Counter[str] = Counter()
+        self.bytes_out = 0
+        self._session = session
+        self._source = source
+        self._seq: OrderedDict[str, int] = OrderedDict()
+        self._publishers: OrderedDict[str, Any] = OrderedDict()
+        self._held: list[Any] = []
+        self._lock = threading.Lock()
+        self._expected: dict[str, type[Message]] = {}
+
+    def publish(self, message: Message) -> None:
+        """Send a record on its key; never blocks, never fails on a closed link."""
+        key_text = key_of(self.site, message)
+        with self._lock:
+            seq = self._seq.pop(key_text, 0)
+            self._seq[key_text] = seq + 1
+            header = header_for(
+                message,
+                source=self._source,
+                boot=self.boot,
+                seq=seq,
+                mono_ns=time.monotonic_ns(),
+                wall_ns=time.time_ns(),
+            )
+            payload = pack(header, message)
+            self._publisher(key_text, message).put(payload)
+            self.published[message.SCHEMA] += 1
+            self.bytes_out += len(payload)
+
+    def _publisher(self, key_text: str, message: Message) -> Any:
+        publisher = self._publishers.pop(key_text, None)
+        if publisher is None:
+            publisher = _declare(self._session, key_text, PROFILES[message.SCHEMA], encoding_of(message))
+        self._publishers[key_text] = publisher
+        if len(self._publishers) > _PUBLISHERS_LIMIT:
+            oldest, gone = self._publishers.popitem(last=False)
+            self._seq.pop(oldest, None)
+            gone.undeclare()
+        return publisher
+
+    def announce(self, service: str, instance: str) -> None:
+        """Say that this process is present and warm; withdrawn when the session ends."""
+        token = self._session.liveliness().declare_token(key(self.site, "live", service, instance))
+        self._held.append(token)
+
+    def subscribe(self, schemas: dict[str, type[Message]], parts: Mapping[str, tuple[str, ...]] | None = None) -> Inbox:
+        """Receive the schemas into an inbox; call once.
+
+        Args:
+            schemas: what to read, by schema.
+            parts: schema -> first chunks after the topic (the camera); all of the site by default.
+        """
+        limits = {name: _EVENTS_QUEUE_LIMIT if name == "events" else _QUEUE_LIMIT for name in schemas}
+        self.inbox = Inbox(limits)
+        self._expected = schemas
+        for name in schemas:
+            expression = everything_of(self.site, name, *(parts or {}).get(name, ()))
+            self._read(name, expression, self.inbox)
+        return self.inbox
+
+    def _read(self, topic: str, expression: str, inbox: Inbox) -> None:
+        channel = zenoh.handlers.FifoChannel[zenoh.Sample](_CHANNEL)
+        if PROFILES[topic].history:
+            subscriber: Any = zenoh.ext.declare_advanced_subscriber(
+                self._session,
+                expression,
+                channel,
+                history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
+                recovery=zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+            )
+        else:
+            subscriber = self._session.declare_subscriber(expression, channel)
+        self._held.append(subscriber)
+
+        def run() -> None:
+            while True:
+                try:
+                    sample = subscriber.recv()
+                except Exception:  # noqa: BLE001 - the channel's only word for "closed"
+                    return
+                inbox.put(Sample(topic, str(sample.key_expr), sample.payload.to_bytes(), time.monotonic_ns()))
+
+        threading.Thread(target=run, daemon=True, name=f"read-{topic}").start()
+
+    def open(self, sample: Sample) -> tuple[Header, Message] | None:
+        """Return a sample's header and record; None where it is refused, which is counted."""
+        self.received[sample.topic] += 1
+        outcome = unpack(sample.payload, self._expected)
+        if not isinstance(outcome, Refused):
+            header, message = outcome
+            if key_of_or_none(self.site, message) == sample.key:
+                return header, message
+            outcome = Refused(Refusal.WRONG_KEY, f"{message.SCHEMA} on {sample.key}")
+        self.refusals[outcome.reason] += 1
+        if self.refusals[outcome.reason] == 1:  # the first of its kind; the counter tells of the others
+            _LOG.warning("refused: %s: %s", outcome.reason.value, outcome.detail)
+        return None
+
+    def watch(self, topic_prefix: str, on_change: Callable[[str, bool], None]) -> None:
+        """Call on_change(key, present) for liveliness tokens below a topic, those already there included."""
+        expression = everything_of(self.site, topic_prefix)
+
+        def changed(sample: zenoh.Sample) -> None:
+            on_change(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+
+        self._held.append(self._session.liveliness().declare_subscriber(expression, changed, history=True))
+
+    def close(self) -> None:
+        """Withdraw all that was declared, so that reader threads end."""
+        for held in (*self._held, *self._publishers.values()):
+            held.undeclare()
+        self._held.clear()
+        self._publishers.clear()
+
+
+def key_of_or_none(site: str, message: Message) -> str | None:
+    """Return a record's key, or None where its names may not stand in one."""
+    try:
+        return key_of(site, message)
+    except ValueError:
+        return None
+
+
+def _declare(session: zenoh.Session, key_text: str, profile: Profile, encoding: str) -> Any:
+    options: dict[str, Any] = {
+        "encoding": encoding,
+        "congestion_control": zenoh.CongestionControl.DROP,
+        "priority": _PRIORITIES[profile.priority],
+        "express": profile.express,
+        "reliability": zenoh.Reliability.RELIABLE if profile.reliable else zenoh.Reliability.BEST_EFFORT,
+    }
+    if not profile.history:
+        return session.declare_publisher(key_text, **options)
+    return zenoh.ext.declare_advanced_publisher(
+        session,
+        key_text,
+        cache=zenoh.ext.CacheConfig(profile.history),
+        sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=_HEARTBEAT_S, sporadic_heartbeat=None),
+        publisher_detection=True,
+        **options,
+    )
+
+
+@contextmanager
+def connected(config: dict[str, Any], site: str, source: str, stop: Stop) -> Iterator[Bus | None]:
+    """Open the bus for a process; None where a stop came before a router answered.
+
+    Raises:
+        BusError: the links cannot be opened.
+    """
+    session = open_session(config, stop)
+    if session is None:
+        yield None
+        return
+    with session:
+        bus = Bus(session, site, source)
+        try:
+            yield bus
+        finally:
+            bus.close()
+
+
+def live_keys(session_config: dict[str, Any], site: str) -> list[str]:
+    """Return "service/instance" of the processes that are present on a site's bus, sorted.
+
+    Raises:
+        BusError: no router answers.
+    """
+    session = open_session(session_config)
+    if session is None:  # no stop was given
+        return []
+    with session:
+        replies = session.liveliness().get(everything_of(site, "live"), timeout=1.0)
+        found = [parse(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None]
+    return sorted("/".join(item.parts) for item in found if item is not None)

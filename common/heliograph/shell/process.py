@@ -1,0 +1,53 @@
+"""A process's manners: it stops in order on the first signal, at once on the second, and never outlives its parent."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+import threading
+from types import FrameType
+from typing import Final
+
+# Set by a supervisor for its children: end with me.
+PARENT_VARIABLE: Final = "HELIOGRAPH_PARENT"
+_PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h
+EXIT_FORCED: Final = 130  # the shell's convention for an end by SIGINT
+
+
+class Stop:
+    """Becomes true on SIGINT or SIGTERM; a second signal ends the process there and then."""
+
+    def __init__(self) -> None:
+        self._event = threading.Event()
+
+    def install(self) -> None:
+        """Take over SIGINT and SIGTERM; main thread only."""
+        signal.signal(signal.SIGINT, self._on_signal)
+        signal.signal(signal.SIGTERM, self._on_signal)
+
+    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
+        if self._event.is_set():
+            os._exit(EXIT_FORCED)
+        self._event.set()
+
+    def set(self) -> None:
+        """Stop from within."""
+        self._event.set()
+
+    def __bool__(self) -> bool:
+        return self._event.is_set()
+
+    def wait(self, seconds: float) -> bool:
+        """Wait for the stop, at most that long; return whether it came."""
+        return self._event.wait(seconds)
+
+
+def end_with_parent() -> None:
+    """Ask the kernel for SIGTERM when the parent ends, where a supervisor wants it (Linux only)."""
+    if not os.environ.get(PARENT_VARIABLE) or not sys.platform.startswith("linux"):
+        return
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+    if os.getppid() == 1:  # the parent ended before the call
+        os._exit(EXIT_FORCED)

@@ -1,0 +1,51 @@
+"""A host's Zenoh router as a process: the services of the host are its clients, it dials the routers of other hosts."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Sequence
+from typing import Final
+
+from heliograph.errors import ConfigError
+from heliograph.shell.process import Stop
+from heliograph.shell.run import guarded
+from heliograph.shell.site import load_site
+
+_LOG = logging.getLogger(__name__)
+_WAIT_S: Final = 0.2
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the router of a site file's host until it is stopped; return the exit status."""
+    parser = argparse.ArgumentParser(prog="heliograph-router", description=__doc__)
+    parser.add_argument("--site", metavar="FILE", required=True, help="the site file (TOML)")
+    parser.add_argument("--log-level", default="info", choices=("debug", "info", "warning", "error"))
+    parser.add_argument("--log-format", default="json", choices=("json", "text"))
+    arguments = parser.parse_args(argv)
+    from heliograph.shell import logs  # noqa: PLC0415 - not needed for --help
+
+    logs.set_up("router", "router", arguments.log_level, arguments.log_format)
+    return guarded(lambda stop: _route(arguments.site, stop))
+
+
+def _route(path: str, stop: Stop) -> int:
+    from heliograph.shell.bus import connected  # noqa: PLC0415 - not needed for --help
+    from heliograph.shell.links import router_config  # noqa: PLC0415
+
+    site = load_site(path)
+    if site.router is None:
+        raise ConfigError(f"{path}: no [router]: this host uses somebody else's")
+    with connected(router_config(site.router, site.bus), site.site, f"router/{site.host}", stop) as bus:
+        if bus is None:
+            return 0
+        bus.announce("router", site.host)
+        _LOG.info("routing", extra={"fields": {"listen": site.router.listen, "connect": site.router.connect}})
+        while not stop.wait(_WAIT_S):
+            pass
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
