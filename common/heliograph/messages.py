@@ -29,8 +29,8 @@ Name = Annotated[str, Meta(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_][
 Finite = Annotated[float, Meta(ge=-1e12, le=1e12)]
 Positive = Annotated[float, Meta(ge=0.0, le=1e12)]
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
-# The widest payload of any modulation is 32 bits; 64 leave room for what is to come.
-Payload = Annotated[int, Meta(ge=0, le=2**64 - 1)]
+# The widest payload of any modulation is 32 bits; 63 leave room for what is to come (msgspec checks no wider bound).
+Payload = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 StatusWord = Literal["new", "valid", "invalid"]
 Change = Literal["accepted", "changed", "refreshed", "lost"]
 Bearing = tuple[Finite, Finite, Finite]
