@@ -1,0 +1,167 @@
+"""`heliograph ids`: who is there, where, and what they say; a client of a running site like any other.
+
+On a terminal a table that follows; with `--json` one object a line (as `heliograph decode --json` prints them).
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any, Final
+
+from heliograph.errors import BusError, ConfigError
+from heliograph.messages import Identification, Message, Progress
+from heliograph.shell.bus import Bus, connected
+from heliograph.shell.links import client_config
+from heliograph.shell.process import Stop
+from heliograph.shell.site import BusLinks, load_site
+from heliograph.wire import SCHEMAS
+from heliograph_services.cli.lines import dump, for_people, lines_of
+
+DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
+_WAIT_S: Final = 0.1
+# After the decoder's last word, what is still on the way has this long to arrive.
+_DRAIN_S: Final = 0.5
+_FORGET_S: Final = 10.0
+
+
+def run(argv: Sequence[str]) -> int:
+    """Run the subcommand; return its exit status."""
+    arguments = _parser().parse_args(argv)
+    site_name, links = _where(arguments)
+    stop = Stop()
+    stop.install()
+    table = _Table() if _wants_table(arguments) else None
+    with connected(client_config(links, wait=arguments.wait), site_name, f"client/{os.getpid()}", stop) as bus:
+        if bus is None:
+            return 0
+        try:
+            follow(bus, arguments, stop, table)
+        finally:
+            if table is not None:
+                table.close()
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="heliograph ids", description=__doc__)
+    parser.add_argument("site", nargs="?", metavar="SITE.toml", help="where to find the bus (or --connect, --name)")
+    parser.add_argument("--connect", metavar="ENDPOINT", help=f"a router of the site (default: {DEFAULT_ENDPOINT})")
+    parser.add_argument("--name", metavar="SITE", help="the site's name, where no file is given (default: *)")
+    parser.add_argument("--json", action="store_true", help="one JSON object a line")
+    parser.add_argument("--frames", action="store_true", help="with --json: every accepted frame too")
+    parser.add_argument("--refreshed", action="store_true", help="with --json: repeated states too")
+    parser.add_argument("--duration", type=float, metavar="S", help="end after so many seconds")
+    parser.add_argument("--until-end", action="store_true", help="end when a replayed recording has been decoded")
+    parser.add_argument("--wait", action="store_true", help="wait for a router rather than fail without one")
+    return parser
+
+
+def _where(arguments: argparse.Namespace) -> tuple[str, BusLinks]:
+    if arguments.site:
+        site = load_site(arguments.site)
+        links = BusLinks(connect=(arguments.connect,)) if arguments.connect else site.bus
+        return arguments.name or site.site, links
+    if arguments.name is None:
+        raise ConfigError("give SITE.toml, or --name SITE (and --connect ENDPOINT)")
+    return arguments.name, BusLinks(connect=(arguments.connect or DEFAULT_ENDPOINT,))
+
+
+def _wants_table(arguments: argparse.Namespace) -> bool:
+    return not arguments.json and sys.stdout.isatty()
+
+
+def follow(bus: Bus, arguments: argparse.Namespace, stop: Stop, table: _Table | None) -> None:
+    """Print what the site says until the end that was asked for.
+
+    Raises:
+        BusError: nothing could be subscribed.
+    """
+    names = ["ids", "messages", "progress", *(["frames"] if arguments.frames else [])]
+    inbox = bus.subscribe({name: SCHEMAS[name] for name in names})
+    deadline = None if arguments.duration is None else time.monotonic() + arguments.duration
+    while not stop:
+        if deadline is not None and time.monotonic() >= deadline:
+            return
+        sample = inbox.get(_WAIT_S)
+        opened = bus.open(sample) if sample else None
+        if opened is None:
+            if table is not None:
+                table.refresh()
+            continue
+        message = opened[1]
+        if isinstance(message, Progress):
+            if message.done and message.service == "decoder" and arguments.until_end:
+                until = time.monotonic() + _DRAIN_S
+                deadline = until if deadline is None else min(until, deadline)
+        elif table is not None:
+            table.take(message)
+        else:
+            _print(message, arguments)
+    if inbox.dropped:
+        raise BusError(f"too slow: {sum(inbox.dropped.values())} messages were dropped here")
+
+
+def _print(message: Message, arguments: argparse.Namespace) -> None:
+    for line in lines_of(message, frames=arguments.frames, refreshed=arguments.refreshed):
+        print(dump(line) if arguments.json else for_people(line), flush=True)
+
+
+class _Table:
+    """The live table of a terminal."""
+
+    def __init__(self) -> None:
+        from rich.console import Console  # noqa: PLC0415 - only on a terminal
+        from rich.live import Live  # noqa: PLC0415
+
+        self._rows: dict[tuple[str, str], tuple[Identification, float]] = {}
+        self._texts: dict[str, str] = {}
+        self._live = Live(console=Console(), refresh_per_second=8, get_renderable=self._render)
+        self._live.start()
+
+    def take(self, message: Message) -> None:
+        """Take note of a state or a text."""
+        if isinstance(message, Identification):
+            self._rows[message.camera, message.track] = (message, time.monotonic())
+        else:
+            text = getattr(message, "text", None)
+            if text is not None:
+                track = getattr(message, "track", "")
+                self._texts[track] = (self._texts.get(track, "") + text)[-24:]
+
+    def refresh(self) -> None:
+        """Forget who has long been lost."""
+        now = time.monotonic()
+        gone = [key for key, (state, seen) in self._rows.items() if state.lost and now - seen > _FORGET_S]
+        for key in gone:
+            del self._rows[key]
+
+    def _render(self) -> Any:
+        from rich.table import Table  # noqa: PLC0415
+
+        table = Table(title="beacons", expand=False, pad_edge=False)
+        for name, justify in (("beacon", "left"), ("camera", "left"), ("x px", "right"), ("y px", "right")):
+            table.add_column(name, justify=justify, no_wrap=True)  # type: ignore[arg-type]
+        for name in ("conf", "frames", "age s", "text"):
+            table.add_column(name, justify="right", no_wrap=True)
+        for state, seen in sorted(self._rows.values(), key=lambda row: (row[0].beacon, row[0].track)):
+            age_s = time.monotonic() - seen
+            table.add_row(
+                state.beacon,
+                state.camera,
+                f"{state.x_px:.1f}",
+                f"{state.y_px:.1f}",
+                f"{state.confidence:.2f}",
+                str(state.frames_used),
+                f"{age_s:.1f}" if not state.lost else "lost",
+                self._texts.get(state.track, "").replace("\n", " "),
+                style="dim" if state.lost else "",
+            )
+        return table
+
+    def close(self) -> None:
+        """Leave the terminal as it was."""
+        self._live.stop()

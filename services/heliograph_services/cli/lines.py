@@ -1,0 +1,103 @@
+"""The JSON lines of the command line: the same for a recording in one process and for a site on the bus.
+
+One object a line, its `type` first: `identification`, `message`, `frame`, `summary`. Fields as in `docs/wire.md`.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from heliograph.messages import Data, Frames, Identification, Message
+
+
+def identification_line(message: Identification) -> dict[str, Any]:
+    """Return the line of an identification; `change` says why it is sent."""
+    return {
+        "type": "identification",
+        "t_us": message.t_us,
+        "camera": message.camera,
+        "track": message.track,
+        "protocol": message.protocol,
+        "beacon": message.beacon,
+        "payload": message.payload,
+        "x_px": message.x_px,
+        "y_px": message.y_px,
+        "bearing": message.bearing,
+        "confidence": message.confidence,
+        "margin": message.margin,
+        "frames_used": message.frames_used,
+        "change": message.change,
+        "lost": message.lost,
+    }
+
+
+def data_line(message: Data) -> dict[str, Any]:
+    """Return the line of a message: text, or data as hex."""
+    line = {
+        "type": "message",
+        "t_us": message.t_us,
+        "camera": message.camera,
+        "track": message.track,
+        "protocol": message.protocol,
+        "beacon": message.beacon,
+    }
+    if message.text is not None:
+        return line | {"text": message.text}
+    return line | {"data": (message.data or b"").hex()}
+
+
+def frame_lines(message: Frames) -> list[dict[str, Any]]:
+    """Return a line for each frame."""
+    return [
+        {
+            "type": "frame",
+            "t_us": message.t_us[i],
+            "camera": message.camera,
+            "track": message.track[i],
+            "protocol": message.protocol[i],
+            "beacon": message.beacon[i],
+            "payload": message.payload[i],
+            "x_px": message.x_px[i],
+            "y_px": message.y_px[i],
+            "confidence": message.score[i],
+        }
+        for i in range(len(message.t_us))
+    ]
+
+
+def lines_of(message: Message, *, frames: bool, refreshed: bool = False) -> list[dict[str, Any]]:
+    """Return the lines of a record; none for records that are not for the reader.
+
+    Args:
+        message: any record.
+        frames: whether frames are wanted.
+        refreshed: whether identifications are wanted that only repeat a state.
+    """
+    if isinstance(message, Identification):
+        return [identification_line(message)] if refreshed or message.change != "refreshed" else []
+    if isinstance(message, Data):
+        return [data_line(message)]
+    if isinstance(message, Frames) and frames:
+        return frame_lines(message)
+    return []
+
+
+def dump(line: dict[str, Any]) -> str:
+    """Return a line as JSON text."""
+    return json.dumps(line, ensure_ascii=False, separators=(", ", ": "))
+
+
+def for_people(line: dict[str, Any]) -> str:
+    """Return a line as a person reads it, for a terminal of 80 columns."""
+    t_s = line["t_us"] / 1e6
+    if line["type"] == "identification":
+        return (
+            f"{t_s:11.3f} s  {line['beacon']:<20.20} {line['change']:<9} at ({line['x_px']:7.1f}, {line['y_px']:6.1f})"
+            f"  {line['confidence']:.2f}"
+        )
+    if line["type"] == "message":
+        text = line.get("text")
+        shown = json.dumps(text, ensure_ascii=False) if text is not None else line["data"]
+        return f"{t_s:11.3f} s  {line['beacon'] or line['protocol']:<12.12} {shown}"
+    return f"{t_s:11.3f} s  {line['track']:<12.12} frame {line['protocol']}:{line['payload']} {line['confidence']:.2f}"
