@@ -1,0 +1,168 @@
+"""The table of tracks: one row a track, one array a column, rows in the order of birth.
+
+A row is in birth (`number` -1) until it is confirmed; then it has a number that is never used again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from heliograph.messages import StatusWord
+
+Floats = npt.NDArray[np.float64]
+Longs = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
+
+WORDS: Final[tuple[StatusWord, ...]] = ("new", "valid", "invalid")
+NEW: Final = 0
+VALID: Final = 1
+INVALID: Final = 2
+UNNAMED: Final = -1
+NEVER: Final = -(2**62)
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """The published tracks at one instant, by rising number; the columns of heliograph.messages.Tracks."""
+
+    number: list[int]
+    born_us: list[int]
+    seen_us: list[int]
+    x_px: list[float]
+    y_px: list[float]
+    vx_px_s: list[float]
+    vy_px_s: list[float]
+    var_px2: list[float]
+    radius_px: list[float]
+    size_px: list[float]
+    polarity: list[float]
+    status: list[StatusWord]
+
+
+class TrackTable:
+    """Struct of arrays of n rows.
+
+    Attributes:
+        number: (n,) int64; UNNAMED while in birth.
+        born_us: (n,) int64, begin of the window of the first target.
+        seen_us: (n,) int64, end of the window of the last target.
+        invalid_us: (n,) int64, since when the decoder calls it invalid, else NEVER.
+        hits: (n,) int64, windows with a round target.
+        status: (n,) int64, index into WORDS.
+        radius_px: (n,) float64, covers nine tenths of the target's pixels, smoothed.
+        size_px: (n,) float64, distinct sensor pixels of the target, smoothed.
+        polarity: (n,) float64, of the last target.
+        state: (n, 4) float64, see `kalman`.
+        cov: (n, 6) float64.
+    """
+
+    COLUMNS: Final = (
+        "number", "born_us", "seen_us", "invalid_us", "hits", "status",
+        "radius_px", "size_px", "polarity", "state", "cov",
+    )  # fmt: skip
+
+    def __init__(self) -> None:
+        self.number: Longs = np.empty(0, np.int64)
+        self.born_us: Longs = np.empty(0, np.int64)
+        self.seen_us: Longs = np.empty(0, np.int64)
+        self.invalid_us: Longs = np.empty(0, np.int64)
+        self.hits: Longs = np.empty(0, np.int64)
+        self.status: Longs = np.empty(0, np.int64)
+        self.radius_px: Floats = np.empty(0, np.float64)
+        self.size_px: Floats = np.empty(0, np.float64)
+        self.polarity: Floats = np.empty(0, np.float64)
+        self.state: Floats = np.empty((0, 4), np.float64)
+        self.cov: Floats = np.empty((0, 6), np.float64)
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+    @property
+    def named(self) -> Flags:
+        """(n,) bool: the rows that are published."""
+        return self.number >= 0
+
+    def keep(self, mask: Flags) -> None:
+        """Drop the other rows; the order stays."""
+        for name in self.COLUMNS:
+            setattr(self, name, getattr(self, name)[mask])
+
+    def append(
+        self,
+        *,
+        xy_px: Floats,
+        var_px2: Floats,
+        radius_px: Floats,
+        size_px: Floats,
+        polarity: Floats,
+        born_us: int,
+        seen_us: int,
+        speed_var: float,
+    ) -> None:
+        """Add k rows in birth.
+
+        Args:
+            xy_px: (k, 2) float64.
+            var_px2: (k,) float64, of each axis.
+            radius_px: (k,) float64.
+            size_px: (k,) float64.
+            polarity: (k,) float64.
+            born_us: of all.
+            seen_us: of all.
+            speed_var: variance of the unknown speed on each axis, (px/s)^2.
+        """
+        k = len(xy_px)
+        cov = np.zeros((k, 6))
+        cov[:, 0] = cov[:, 3] = var_px2
+        cov[:, 2] = cov[:, 5] = speed_var
+        new: dict[str, Floats | Longs] = {
+            "number": np.full(k, UNNAMED, np.int64),
+            "born_us": np.full(k, born_us, np.int64),
+            "seen_us": np.full(k, seen_us, np.int64),
+            "invalid_us": np.full(k, NEVER, np.int64),
+            "hits": np.ones(k, np.int64),
+            "status": np.full(k, NEW, np.int64),
+            "radius_px": radius_px,
+            "size_px": size_px,
+            "polarity": polarity,
+            "state": np.concatenate([xy_px, np.zeros((k, 2))], axis=1),
+            "cov": cov,
+        }
+        for name in self.COLUMNS:
+            setattr(self, name, np.concatenate([getattr(self, name), new[name]]))
+
+    def judge(self, words: dict[int, StatusWord], at_us: int) -> None:
+        """Take the decoder's words, by number; rows it does not name keep theirs."""
+        for i in np.flatnonzero(self.named):
+            word = words.get(int(self.number[i]))
+            if word is None:
+                continue
+            code = WORDS.index(word)
+            if code != INVALID:
+                self.invalid_us[i] = NEVER
+            elif self.status[i] != INVALID:
+                self.invalid_us[i] = at_us
+            self.status[i] = code
+
+    def snapshot(self, rows: Longs, state: Floats, var_px2: Floats) -> Snapshot:
+        """Return some rows with the states given for them, rounded to a thousandth, by rising number."""
+        order = np.argsort(self.number[rows])
+        rows, state, var_px2 = rows[order], np.round(state[order], 3) + 0.0, np.round(var_px2[order], 3)
+        return Snapshot(
+            number=self.number[rows].tolist(),
+            born_us=self.born_us[rows].tolist(),
+            seen_us=self.seen_us[rows].tolist(),
+            x_px=state[:, 0].tolist(),
+            y_px=state[:, 1].tolist(),
+            vx_px_s=state[:, 2].tolist(),
+            vy_px_s=state[:, 3].tolist(),
+            var_px2=var_px2.tolist(),
+            radius_px=np.round(self.radius_px[rows], 3).tolist(),
+            size_px=np.round(self.size_px[rows], 3).tolist(),
+            polarity=(np.round(self.polarity[rows], 3) + 0.0).tolist(),
+            status=[WORDS[code] for code in self.status[rows]],
+        )
