@@ -44,12 +44,7 @@ def test_identifications_are_refreshed_without_a_tracker_and_survive_its_return(
             assert followed(heard, killed + WITHOUT_S - 0.5) == expected
             old = boots(heard)
             host.start("tracker")
-            heard.until(
-                lambda h: any(
-                    t.split("-")[0] not in boots for m in h.messages["tracks"] for t in getattr(m, "track", [])
-                ),
-                "tracks of the new tracker",
-            )
+            heard.until(lambda h: bool(boots(h) - old), "tracks of the new tracker")
             back = time.monotonic()
             heard.until(lambda h: h.when["ids"][-1] > back + 2.0, "two seconds with the new tracker")
             assert followed(heard, back + 1.5) == expected
