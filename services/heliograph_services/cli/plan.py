@@ -83,7 +83,7 @@ def ini_of(plan: Plan, directory: Path) -> str:
             "[rpcinterface:supervisor]",
             "supervisor.rpcinterface_factory=supervisor.rpcinterface:make_main_rpcinterface",
         ),
-        *("[supervisord]", "nodaemon=true", "silent=true", "nocleanup=true", "loglevel=info"),
+        *("[supervisord]", "silent=true", "nocleanup=true", "loglevel=info"),
         f"logfile={_text(plan.folder / 'supervisord.log')}",
         "logfile_maxbytes=0",  # restarts are counted from it, and it grows by a line a start
         f"pidfile={_text(plan.folder / 'supervisord.pid')}",

@@ -78,8 +78,10 @@ class _UnixTransport(xmlrpc.client.Transport):
         super().__init__()
         self._path = path
 
-    def make_connection(self, _host: object) -> http.client.HTTPConnection:
-        return _UnixConnection(self._path)
+    def make_connection(self, host: Any) -> http.client.HTTPConnection:
+        connection = _UnixConnection(self._path)
+        self._connection = (host, connection)  # where the base class looks for what to close
+        return connection
 
 
 class Supervised:
@@ -121,7 +123,11 @@ class Supervised:
                     start_new_session=True,
                     env={**os.environ, **(environment or {})},
                 )
-            self._until(lambda: self._answers() or cast("Any", self._child).poll() is not None, 20.0)
+            child = self._child
+            # Alone it forks and its first process ends well; attached it stays.
+            self._until(lambda: self._answers() or bool(child.poll()), 20.0)
+            if not follow_parent:
+                child.wait(timeout=20.0)
             if not self._answers():
                 self.stop()
                 said = last_line(self._folder / "supervisord.out") or "it does not answer"
@@ -279,12 +285,12 @@ def main() -> None:
     parser.add_argument("ini")
     parser.add_argument(_FOLLOW_FLAG, dest="follow", action="store_true")
     arguments = parser.parse_args()
-    if arguments.follow:
-        os.environ[PARENT_VARIABLE] = "1"
-        end_with_parent()
     # The processes end with this one, however it ends.
-    os.environ[PARENT_VARIABLE] = str(os.getpid())
-    supervisord.main(["-n", "-c", arguments.ini])
+    os.environ[PARENT_VARIABLE] = "1"
+    if arguments.follow:
+        end_with_parent()
+    # On its own it becomes a daemon, so that whoever started it may go without leaving a child behind.
+    supervisord.main([*(["-n"] if arguments.follow else []), "-c", arguments.ini])
 
 
 if __name__ == "__main__":
