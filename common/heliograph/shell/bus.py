@@ -76,7 +76,8 @@ def open_session(config: dict[str, Any], stop: Stop | None = None) -> zenoh.Sess
             return None
     if isinstance(result[0], BaseException):
         endpoints = ", ".join(config["connect"]["endpoints"] or config.get("listen", {}).get("endpoints", []))
-        first_line = str(result[0]).splitlines()[0]
+        # Zenoh ends its lines with the place in its source, which helps nobody here.
+        first_line = str(result[0]).splitlines()[0].split(" at /")[0]
         raise BusError(f"cannot open the bus at {endpoints}: {first_line[:200]}")
     return result[0]
 
@@ -185,7 +186,7 @@ class Bus:
         return self.inbox
 
     def _read(self, topic: str, expression: str, inbox: Inbox) -> None:
-        channel = zenoh.handlers.FifoChannel[zenoh.Sample](_CHANNEL)
+        channel: zenoh.handlers.FifoChannel[zenoh.Sample] = zenoh.handlers.FifoChannel(_CHANNEL)
         if PROFILES[topic].history:
             subscriber: Any = zenoh.ext.declare_advanced_subscriber(
                 self._session,
@@ -197,11 +198,13 @@ class Bus:
         else:
             subscriber = self._session.declare_subscriber(expression, channel)
         self._held.append(subscriber)
+        # The channel, not the subscriber: one that is being read cannot be undeclared.
+        handler = subscriber.handler
 
         def run() -> None:
             while True:
                 try:
-                    sample = subscriber.recv()
+                    sample = handler.recv()
                 except Exception:  # noqa: BLE001 - the channel's only word for "closed"
                     return
                 inbox.put(Sample(topic, str(sample.key_expr), sample.payload.to_bytes(), time.monotonic_ns()))
