@@ -1,0 +1,151 @@
+"""What is shown is counts added, then divided, with an interval."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from heliograph.core import Context
+from heliograph.errors import FileError
+from heliograph.messages import Health, Message
+from heliograph_services.metrics_sink.config import MetricsSinkConfig
+from heliograph_services.metrics_sink.service import MetricsSink, make_core, warm
+from heliograph_services.metrics_sink.summary import ratio_of, summarise, summary
+from support.truth_scenes import Said, Sent, state, tracks, truth
+
+CONTEXT = Context(instance="metrics_sink", boot="b0", lockstep=False)
+UNTIL_US = 3_000_000
+
+
+def run(path: Path, messages: list[Message]) -> None:
+    warm()
+    core = make_core(MetricsSinkConfig(file=str(path)), CONTEXT)
+    for message in sorted(messages, key=lambda each: each.time_us):
+        core.feed(message)
+    core.close()
+
+
+def test_the_summary_of_a_run_adds_counts_and_divides(tmp_path: Path) -> None:
+    beacon = Sent()
+    said = Said(refused={"parity": 1}).all_of(beacon, UNTIL_US)
+    wrong = beacon.ends(UNTIL_US)[200]
+    said.rows = [(*row[:3], 41 if row[0] == wrong else 42, *row[4:]) for row in said.rows]
+    said.add(1_000_000, x_px=300.0)
+    path = tmp_path / "m.sqlite"
+    run(path, [*truth([beacon], UNTIL_US), *said.messages(), state(60_000), tracks(100_000)])
+    found = summarise(path)
+    # 272 frames, of which those that begin before 0.5 s (46) do not count.
+    assert found.frames == 273
+    assert found.seconds == 3
+    assert found.cameras == ["cam0"]
+    assert found.identified == {"crane": 1}
+    assert found.refused == {"parity": len(said.messages())}
+    assert found.accuracy is not None
+    assert (found.accuracy.mar_visible.right, found.accuracy.mar_visible.n) == (225, 226)
+    assert (found.accuracy.mar_received.right, found.accuracy.mar_received.n) == (271, 273)
+    # 41 is 1110 101001 1: two bits of the payload differ from 42's, the parity does not.
+    assert (found.accuracy.bar.right, found.accuracy.bar.n) == (226 * 11 - 2, 226 * 11)
+    assert found.accuracy.first.median_ms == 60.0
+    assert found.accuracy.first.never_in_1_s == 0.0
+    assert found.accuracy.again.intervals == 0
+    assert (found.accuracy.judged, found.accuracy.false_alarms, found.accuracy.confusions) == (1, 0, 0)
+    assert [(s.beacon, s.first_us, s.ended) for s in found.sightings] == [("crane", 60_000, True)]
+    assert summary(path)["accuracy"]["mar_visible"]["right"] == 225
+
+
+def test_without_truth_accuracy_is_null_and_the_estimate_stands(tmp_path: Path) -> None:
+    path = tmp_path / "m.sqlite"
+    run(path, [*Said().all_of(Sent(), UNTIL_US).messages()])
+    found = summarise(path)
+    assert found.accuracy is None
+    assert found.mar_estimated is None
+    assert found.frames == 272
+
+
+def test_gaps_come_from_the_processes_health(tmp_path: Path) -> None:
+    reports: list[Message] = [
+        Health(
+            service="decoder",
+            instance=f"d{i}",
+            pid=i,
+            state="running",
+            uptime_s=1.0,
+            input_age_s=None,
+            cpu_share=0.1,
+            counters={"missing: events": 3, "dropped: events": i, "published: ids": 9},
+            gauges={"queue": 1.0},
+        )
+        for i in range(3)
+    ]
+    path = tmp_path / "m.sqlite"
+    run(path, reports)
+    found = summarise(path)
+    assert found.missing == {"events": 9}
+    assert found.dropped == {"events": 3}
+
+
+def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="no such metrics file"):
+        summarise(tmp_path / "none.sqlite")
+
+
+def test_an_empty_run_has_no_ratios(tmp_path: Path) -> None:
+    path = tmp_path / "m.sqlite"
+    run(path, [])
+    assert summarise(path).frames == 0
+
+
+def test_the_interval_is_wider_for_bursts_than_for_single_errors() -> None:
+    """100 blocks of 10 frames with 100 errors: one in each block, or ten blocks lost whole."""
+    sent = np.full(100, 10, np.int64)
+    single = ratio_of(sent - 1, sent)
+    burst = ratio_of(np.where(np.arange(100) < 10, 0, 10).astype(np.int64), sent)
+    assert single.value == burst.value == 0.9
+    assert single.low is not None
+    assert burst.low is not None
+    assert burst.high is not None
+    assert single.low == 0.9
+    # Theory for 100 independent blocks of which a tenth is lost: 0.9 +- 1.96 * sqrt(0.9 * 0.1 / 100) = 0.059.
+    assert burst.low == pytest.approx(0.9 - 0.059, abs=0.015)
+    assert burst.high == pytest.approx(0.9 + 0.059, abs=0.015)
+
+
+def test_no_error_in_k_blocks_leaves_the_bound_that_k_blocks_give() -> None:
+    sent = np.full(60, 10, np.int64)
+    found = ratio_of(sent, sent)
+    assert (found.value, found.high) == (1.0, 1.0)
+    assert found.low == pytest.approx(0.05 ** (1 / 60))
+    none = ratio_of(np.zeros(60, np.int64), sent)
+    assert none.high == pytest.approx(1 - 0.05 ** (1 / 60))
+
+
+def test_many_blocks_are_merged_without_losing_one() -> None:
+    sent = np.full(10_007, 3, np.int64)
+    found = ratio_of(sent - 1, sent)
+    assert (found.right, found.n) == (20_014, 30_021)
+
+
+def test_silence_on_the_bus_finishes_seconds_by_the_health_reports(tmp_path: Path) -> None:
+    now = [0.0]
+    core = MetricsSink(MetricsSinkConfig(file=str(tmp_path / "m.sqlite")), CONTEXT, clock=lambda: now[0])
+    for message in Said().all_of(Sent(), 500_000).messages():
+        assert core.feed(message) == []
+    report = Health(
+        service="tracker",
+        instance="tracker",
+        pid=1,
+        state="running",
+        uptime_s=1.0,
+        input_age_s=None,
+        cpu_share=0.0,
+        counters={},
+        gauges={},
+    )
+    assert core.feed(report) == []
+    now[0] = 3.0
+    assert [message.time_us for message in core.feed(report)] == [1_000_000]
+    assert core.feed(report) == []
+    core.close()
+    assert core.counters["store: rows"] > 0
