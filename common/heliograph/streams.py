@@ -209,7 +209,8 @@ class Onsets(Message, frozen=True, kw_only=True):
             raise ValueError(f"per_tick must add up to n = {raw.n}, not {per_tick.sum(dtype=np.int64)}")
         x_px = _array("x_px", raw.x_px, "<u2", raw.n).astype(np.uint16, copy=False)
         y_px = _array("y_px", raw.y_px, "<u2", raw.n).astype(np.uint16, copy=False)
-        if raw.n and (x_px.max() * raw.pool_px >= raw.width or y_px.max() * raw.pool_px >= raw.height):
+        # As Python's integers: 16 bits would wrap, and let a far pixel pass.
+        if raw.n and (int(x_px.max()) * raw.pool_px >= raw.width or int(y_px.max()) * raw.pool_px >= raw.height):
             raise ValueError(f"({x_px.max()}, {y_px.max()}) lies outside {raw.width}x{raw.height}")
         return cls(
             camera=raw.camera,

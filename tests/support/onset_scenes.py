@@ -52,7 +52,8 @@ class Disc:
 
     def lit(self, t_us: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
         """Return whether it shines at each time."""
-        on = np.array(self.word, np.bool_)[(t_us * self.bit_rate // 1_000_000).astype(np.int64) % len(self.word)]
+        bit = (t_us * self.bit_rate // 1_000_000).astype(np.int64)
+        on: npt.NDArray[np.bool_] = np.array(self.word, np.bool_)[bit % len(self.word)]
         for start, stop in self.dark_s:
             on &= ~((t_us >= start * 1e6) & (t_us < stop * 1e6))
         return on
@@ -117,13 +118,11 @@ class Scene:
         r = disc.radius_px
         y, x = np.mgrid[int(cy - r) - 1 : int(cy + r) + 3, int(cx - r) - 1 : int(cx + r) + 3]
         inside = ((x - cx) ** 2 + (y - cy) ** 2 <= r * r) & (x >= 0) & (x < self.width) & (y >= 0) & (y < self.height)
-        return (y[inside] * self.width + x[inside]).astype(np.int64)
+        return np.asarray(y[inside] * self.width + x[inside], np.int64)
 
     def _pooled(self, on: npt.NDArray[np.int64], off: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
         columns = -(-self.width // self.pool_px)
-        cells = [
-            (p // self.width // self.pool_px) * columns + p % self.width // self.pool_px for p in (on, off)
-        ]
+        cells = [(p // self.width // self.pool_px) * columns + p % self.width // self.pool_px for p in (on, off)]
         pixel, place = np.unique(np.concatenate(cells), return_inverse=True)
         n_on = np.bincount(place[: len(on)], minlength=len(pixel))
         n_off = np.bincount(place[len(on) :], minlength=len(pixel))
@@ -131,9 +130,7 @@ class Scene:
             # The source's gate: at least two events in the 3 x 3 neighbourhood.
             image = np.zeros((-(-self.height // self.pool_px) + 2, columns + 2), np.int64)
             image[pixel // columns + 1, pixel % columns + 1] = n_on + n_off
-            near = sum(
-                image[pixel // columns + dy, pixel % columns + dx] for dy in range(3) for dx in range(3)
-            )
+            near = sum(image[pixel // columns + dy, pixel % columns + dx] for dy in range(3) for dx in range(3))
             keep = np.asarray(near >= 2)
             pixel, n_on, n_off = pixel[keep], n_on[keep], n_off[keep]
         return [pixel, np.minimum(n_on, 255), np.minimum(n_off, 255)]

@@ -64,7 +64,8 @@ class TrackerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     ] = 20_000
 
     # -- motion --
-    # Spectral density of the acceleration: 300 px/s2 held for .1 s. Bridging 200 ms leaves 5 px of uncertainty.
+    # 2 s^2 tau for accelerations of s = 400 px/s2 held for tau = .1 s. Bridging 200 ms of darkness leaves 9 px of
+    # uncertainty.
     process_noise_px2_s3: Annotated[float, Meta(gt=0.0, le=1e9, description="density of the white acceleration")] = (
         9_000.0
     )

@@ -210,7 +210,7 @@ class GridFollower:
         if count > TARGETS_LIMIT:
             self._counters["windows_flooded"] += 1
             return None
-        targets = shape.measure(active, labels, count, self._pool_px, self._rule)
+        targets = shape.measure(active, labels, np.zeros(count, np.bool_), self._pool_px, self._rule)
         named = self.table.named
         cut = split(active, labels, targets, self.table.state[named, :2], self.table.size_px[named], self._pool_px)
         if cut is None:
@@ -260,8 +260,9 @@ class GridFollower:
         z = np.stack([np.bincount(owner, weight * at[used], k) / total for at in (targets.x_px, targets.y_px)], axis=1)
         seen_px = total * self._pool_px**2
         share = np.minimum(1.0, seen_px / table.size_px[rows])
+        trust = np.where(np.bincount(owner, targets.piece[used], k) > 0, 0.0, share)
         r = np.empty((k, 2))
-        r[:] = (self._noise_px**2 + (1 - share) * table.radius_px[rows] ** 2 / 4)[:, None]
+        r[:] = (self._noise_px**2 + (1 - trust) * table.radius_px[rows] ** 2 / 4)[:, None]
         r += (table.state[rows, 2:] * self._gate.window_s) ** 2 / 12
         kalman.update(table.state, table.cov, rows, z, r, self._config.max_speed_px_s)
         on = np.bincount(owner, targets.on[used], k)
@@ -299,7 +300,10 @@ class GridFollower:
             table.keep(alive)
 
     def _initiate(self, targets: Targets, new: Longs, window: Window) -> None:
-        """Begin a birth at each of the targets that touch no track and lie in no closed place, the largest first."""
+        """Begin a birth at each of the targets that touch no track and lie in no closed place.
+
+        If there are too many, the largest.
+        """
         if len(new) == 0:
             return
         table, config = self.table, self._config
@@ -309,11 +313,10 @@ class GridFollower:
         barred = association.owners(x_px, y_px, np.zeros(len(new)), closed[:, 0], closed[:, 1], closed[:, 2]) >= 0
         self._counters["births_quarantined"] += int(np.count_nonzero(barred & ~touched))
         new = new[~touched & ~barred]
-        new = new[np.argsort(-targets.pixels[new], kind="stable")]
         room = config.max_tracks - int(np.count_nonzero(~table.named))
         if len(new) > room:
             self._counters["births_over_limit"] += len(new) - room
-            new = new[:room]
+            new = np.sort(new[np.argsort(-targets.pixels[new], kind="stable")][:room])
         if len(new) == 0:
             return
         self._counters["births"] += len(new)

@@ -48,6 +48,7 @@ class Targets:
         off: (k,) int32.
         roundness: (k,) float64.
         verdict: (k,) uint8: ROUND, TOO_FEW, TOO_MANY or NOT_ROUND.
+        piece: (k,) bool: cut out of a larger cluster (`splitting`).
     """
 
     x_px: Floats
@@ -59,6 +60,7 @@ class Targets:
     off: Ints
     roundness: Floats
     verdict: npt.NDArray[np.uint8]
+    piece: npt.NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.x_px)
@@ -122,16 +124,17 @@ def _measure(
         out[4, c] = np.sqrt(d2[n - 1])
 
 
-def measure(active: Active, labels: Ints, count: int, pool_px: int, rule: ShapeFilter) -> Targets:
+def measure(active: Active, labels: Ints, piece: npt.NDArray[np.bool_], pool_px: int, rule: ShapeFilter) -> Targets:
     """Return the targets of labelled pixels.
 
     Args:
         active: the window's n pixels.
-        labels: (n,) int32, below count; -1 for noise. Every label below count occurs.
-        count: number of clusters.
+        labels: (n,) int32, below k; -1 for noise. Every label below k occurs.
+        piece: (k,) bool, see `Targets`.
         pool_px: side of an onset pixel in sensor pixels.
         rule: what may become a track.
     """
+    count = len(piece)
     first = np.zeros(count + 1, np.int32)
     member = np.empty(len(active), np.int32)
     out = np.zeros((5, count), np.float64)
@@ -157,4 +160,5 @@ def measure(active: Active, labels: Ints, count: int, pool_px: int, rule: ShapeF
         off=events[1],
         roundness=roundness,
         verdict=verdict,
+        piece=piece,
     )

@@ -2,7 +2,8 @@
 
 A cluster is cut if the predicted centres of several tracks lie within its reach and it is clearly larger than the
 largest of them; each pixel then goes to the nearest centre. Without the cut one track would be pulled into the middle
-and the other starve.
+and the other starve. The centre of a piece is biased away from the other beacon: it counts as little as one pixel of
+the disc (`association`), so that two that pass each other quickly coast through, and do not bounce.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ MERGED: Final = 1.5
 
 def split(
     active: Active, labels: Ints, targets: Targets, centres_px: Floats, size_px: Floats, pool_px: int
-) -> tuple[Ints, int] | None:
-    """Return new labels and their number if a cluster had to be cut.
+) -> tuple[Ints, npt.NDArray[np.bool_]] | None:
+    """Return new labels, and for each of them whether it is a piece, if a cluster had to be cut.
 
     Args:
         active: the window's n pixels.
@@ -35,6 +36,7 @@ def split(
         pool_px: side of an onset pixel.
     """
     count = len(targets)
+    pieces: list[int] = []
     if count == 0 or len(centres_px) < 2:
         return None
     dx = targets.x_px[:, None] - centres_px[None, :, 0]
@@ -55,7 +57,13 @@ def split(
         nearest = np.argmin(away_x**2 + away_y**2, axis=1)
         # Parts without a pixel get no label: labels stay dense.
         parts = np.unique(nearest)
+        pieces.append(int(c))
         for part in parts[1:]:
             out[pixels[nearest == part]] = count
+            pieces.append(count)
             count += 1
-    return None if out is labels else (out, count)
+    if not pieces:
+        return None
+    piece = np.zeros(count, np.bool_)
+    piece[pieces] = True
+    return out, piece

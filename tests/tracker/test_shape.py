@@ -1,0 +1,111 @@
+"""Centre, size and roundness of targets."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from heliograph_services.tracker import shape
+from heliograph_services.tracker.clustering import Active
+from heliograph_services.tracker.config import Shape
+from heliograph_services.tracker.shape import ShapeFilter, Targets
+
+RULES: tuple[Shape, ...] = ("distinct", "paper")
+Mask = npt.NDArray[np.bool_]
+
+
+def target_of(mask: Mask, rule: Shape = "distinct", pool_px: int = 1, on: int = 1, off: int = 0) -> Targets:
+    y, x = np.nonzero(mask)
+    n = len(x)
+    active = Active(x.astype(np.int32), y.astype(np.int32), np.full(n, on, np.int32), np.full(n, off, np.int32))
+    return shape.measure(active, np.zeros(n, np.int32), np.zeros(1, np.bool_), pool_px, ShapeFilter(4, 2000, 0.5, rule))
+
+
+def disc(radius_px: float, x_px: float = 30.0, y_px: float = 30.0) -> Mask:
+    y, x = np.mgrid[0:64, 0:64]
+    return np.asarray((x - x_px) ** 2 + (y - y_px) ** 2 <= radius_px**2)
+
+
+@pytest.mark.parametrize("radius_px", np.arange(1.5, 15, 0.7))
+@pytest.mark.parametrize("offset_px", [0.0, 0.3, 0.5])
+def test_discs_score_as_round_in_both_measures(radius_px: float, offset_px: float) -> None:
+    mask = disc(radius_px, 30 + offset_px, 30)
+    assert 0.85 <= target_of(mask).roundness[0] <= 1.01
+    assert 0.6 <= target_of(mask, "paper").roundness[0] <= 0.95
+
+
+@pytest.mark.parametrize("width", [1, 2, 3])
+def test_streaks_are_not_round_in_either_measure(width: int) -> None:
+    mask = np.zeros((64, 64), np.bool_)
+    mask[10 : 10 + width, 10 : 10 + 6 * width] = True
+    for rule in RULES:
+        found = target_of(mask, rule)
+        assert found.roundness[0] < 0.5
+        assert found.verdict[0] == shape.NOT_ROUND
+
+
+def test_a_crescent_is_not_round() -> None:
+    # What a lit disc of radius 4 draws with its leading edge while it moves by 1.5 px.
+    crescent = disc(4, 31.5) & ~disc(4, 30)
+    assert target_of(crescent).roundness[0] < 0.5
+
+
+def test_repeated_events_of_a_pixel_do_not_make_a_streak_round() -> None:
+    mask = np.zeros((64, 64), np.bool_)
+    mask[10, 10:18] = True
+    assert target_of(mask, on=50).roundness[0] == target_of(mask, on=1).roundness[0]
+
+
+def test_one_pixel_has_a_finite_score_and_a_radius_of_half_a_pixel() -> None:
+    mask = np.zeros((64, 64), np.bool_)
+    mask[5, 7] = True
+    for rule in RULES:
+        found = target_of(mask, rule)
+        assert np.isfinite(found.roundness[0])
+        assert (found.x_px[0], found.y_px[0], found.radius_px[0]) == (7, 5, 0.5)
+        assert found.verdict[0] == shape.TOO_FEW
+
+
+def test_sizes_outside_the_interval_are_refused() -> None:
+    assert target_of(disc(1)).verdict[0] == shape.ROUND  # 5 pixels
+    assert target_of(disc(26)).verdict[0] == shape.TOO_MANY  # 2113 pixels
+
+
+@pytest.mark.parametrize("radius_px", [2.0, 4.0, 9.0])
+def test_the_radius_covers_nine_tenths_of_the_pixels_and_the_reach_all(radius_px: float) -> None:
+    mask = disc(radius_px)
+    found = target_of(mask)
+    y, x = np.nonzero(mask)
+    d = np.hypot(x - found.x_px[0], y - found.y_px[0])
+    assert np.mean(d <= found.radius_px[0]) >= 0.9
+    assert np.mean(d <= found.radius_px[0] - 1) < 0.9
+    assert d.max() == pytest.approx(found.reach_px[0] - 0.5)
+
+
+def test_pooled_squares_are_given_back_in_sensor_pixels_at_their_centres() -> None:
+    mask = np.zeros((64, 64), np.bool_)
+    mask[2:4, 6:8] = True
+    found = target_of(mask, pool_px=4)
+    # Squares 6 and 7 of 4 px hold columns 24 to 31, whose centre is 27.5.
+    assert (found.x_px[0], found.y_px[0]) == (27.5, 11.5)
+    assert found.radius_px[0] == pytest.approx((np.sqrt(0.5) + 0.5) * 4)
+    assert found.pixels[0] == 4
+
+
+def test_targets_keep_the_order_of_their_clusters_and_count_both_polarities() -> None:
+    active = Active(*(np.array(c, np.int32) for c in ([1, 9, 2, 8], [1, 9, 1, 9], [3, 0, 1, 0], [0, 2, 0, 7])))
+    labels = np.array([1, 0, 1, 0], np.int32)
+    found = shape.measure(active, labels, np.zeros(2, np.bool_), 1, ShapeFilter(1, 9, 0.1, "distinct"))
+    assert found.x_px.tolist() == [8.5, 1.5]
+    assert found.on.tolist() == [0, 4]
+    assert found.off.tolist() == [9, 0]
+
+
+def test_noise_belongs_to_no_target() -> None:
+    active = Active(*(np.array(c, np.int32) for c in ([1, 40], [1, 40], [1, 1], [0, 0])))
+    found = shape.measure(
+        active, np.array([0, -1], np.int32), np.zeros(1, np.bool_), 1, ShapeFilter(1, 9, 0.1, "distinct")
+    )
+    assert found.pixels.tolist() == [1]
+    assert found.x_px.tolist() == [1.0]
