@@ -1,0 +1,391 @@
+"""From events and tracks to frames, identifications and texts.
+
+One window (config.window_us, on an absolute grid) after another::
+
+    tracks that take effect -> regions                 schedule, tracks, following, backlog
+    events -> the track that hears them -> receivers   regions, routing, links
+    frames and refusals, one message a window
+    identities: accepted, changed, lost
+    on the grid of refresh_us: texts joined, identities refreshed; each second: link quality
+    on the grid of tracker_period_us: statuses
+
+Whole windows alone are decoded, so the messages out do not depend on how events are cut into messages.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from heliograph.core import Context
+from heliograph.errors import Refusal, Refusals
+from heliograph.link.contract import LinkFrame, Text
+from heliograph.link.modulations import modulation
+from heliograph.messages import Change, Message, Tracks
+from heliograph.streams import Events
+from heliograph_services.decoder.config import AUTO, DecoderConfig
+from heliograph_services.decoder.following import Following
+from heliograph_services.decoder.links import Accepted, Decided, LinkPlan, Measure, ModulationOf
+from heliograph_services.decoder.publish import BearingOf, FrameRow, Publisher
+from heliograph_services.decoder.regions import Place
+from heliograph_services.decoder.schedule import Schedule
+from heliograph_services.decoder.stream import JUMP_US, EventStream, Window, sound
+from heliograph_services.decoder.tracks import SILENCE_US, Track
+
+SECOND_US: Final = 1_000_000
+
+
+class DecoderCore:
+    """The pure half of the decoder service (heliograph.core.Core).
+
+    Args:
+        config: its settings.
+        context: its process.
+        camera_text: the camera file's text; empty for none.
+        modulation_of: makes a modulation of its name and options; another one in tests.
+        measure: estimates a bit rate, for bit_rate "auto"; another one in tests.
+
+    Raises:
+        ConfigError: a modulation, receiver or option is unknown, or the camera file is not sound.
+    """
+
+    def __init__(
+        self,
+        config: DecoderConfig,
+        context: Context,
+        camera_text: str = "",
+        modulation_of: ModulationOf = modulation,
+        measure: Measure | None = None,
+    ) -> None:
+        self.refusals = Refusals()
+        self.counters: dict[str, int] = dict.fromkeys(_COUNTERS, 0)
+        self.gauges: dict[str, float] = {"tracks": 0.0, "identities": 0.0, "backlog_events": 0.0}
+        self._config = config
+        self._plan = LinkPlan(config, modulation_of, measure or _measure(config))
+        self._publisher = Publisher(config.camera, _bearing(camera_text))
+        self._schedule = Schedule(lockstep=context.lockstep, period_us=config.tracker_period_us)
+        self._stream: EventStream | None = None
+        self._following: Following | None = None
+        self._told_us = 0  # when Tracks last took effect
+        self._refused = Refusals()  # to be published with the next window
+        self._early: list[FrameRow] = []  # frames from the backlog, likewise
+
+    def feed(self, message: Message) -> list[Message]:
+        """Take events or tracks; return frames, identifications, messages, link quality and statuses in order."""
+        if isinstance(message, Tracks):
+            return self._offer(message)
+        if isinstance(message, Events):
+            return self._events(message)
+        self._refuse(Refusal.CORE_FAULT)
+        return []
+
+    def ready(self, message: Message) -> bool:
+        """Return whether, in lockstep, the tracks that these events need have come."""
+        if not isinstance(message, Events):
+            return True
+        anew = self._stream is not None and self._stream.entry(message).anew
+        first_us = message.t0_us if anew or self._stream is None else self._stream.began_us
+        return self._schedule.reaches(message.t1_us, first_us, anew=anew)
+
+    def tick(self, now_us: int) -> list[Message]:
+        """Return the identities that are lost because nothing came until now_us; time itself does not advance."""
+        if self._stream is None or self._following is None or now_us <= self._stream.watermark_us:
+            return []
+        out: list[Message] = []
+        for i, track in enumerate(self._following.tracks):
+            if track.held is not None and track.links.accepted(now_us) is None:
+                out += self._lose(track, self._following.at(i, self._stream.now_us), now_us)
+        return out
+
+    def _refuse(self, reason: Refusal, n: int = 1) -> None:
+        self.refusals[reason] += n
+        self._refused[reason] += n
+
+    def _offer(self, tracks: Tracks) -> list[Message]:
+        if tracks.camera != self._config.camera:
+            self._refuse(Refusal.OTHER_CAMERA)
+            return []
+        now_us = self._stream.now_us if self._stream is not None else None
+        refusal = self._schedule.offer(tracks, now_us)
+        if refusal is not None:
+            self._refuse(refusal)
+        return []
+
+    def _events(self, events: Events) -> list[Message]:
+        if events.camera != self._config.camera:
+            self._refuse(Refusal.OTHER_CAMERA)
+            return []
+        if not sound(events):
+            self._refuse(Refusal.TIME_JUMP if events.t1_us - events.t0_us > JUMP_US else Refusal.UNORDERED)
+            return []
+        out: list[Message] = []
+        if self._stream is not None:
+            entry = self._stream.entry(events)
+            if entry.refusal is not None:
+                self._refuse(entry.refusal)
+            if not entry.take:
+                return []
+            if entry.anew:
+                out += self._stop(self._stream.now_us)
+                self._schedule.restart()
+                self._stream = None
+        stream = self._stream or self._begin(events)
+        stream.push(events)
+        self.counters["events"] += len(events.batch)
+        for window in stream.windows(end=events.end):
+            out += self._window(window)
+        if events.end:
+            out += self._stop(events.t1_us)
+            self._schedule.restart()
+            self._stream = None
+        return out
+
+    def _begin(self, events: Events) -> EventStream:
+        self._stream = EventStream(events, self._config.window_us)
+        size = (events.width, events.height)
+        if self._following is None or self._following.size != size:
+            self._following = Following(self._config, self._plan, *size)
+        self._following.restart(self._stream.now_us)
+        self._told_us = self._stream.now_us
+        for _ in range(self._schedule.begin(events.t0_us)):
+            self._refuse(Refusal.TIME_JUMP)
+        self.counters["streams"] += 1
+        return self._stream
+
+    def _stop(self, now_us: int) -> list[Message]:
+        """End all tracks: texts that are still held, and the loss of every identity."""
+        following = self._following
+        if following is None:
+            return []
+        out: list[Message] = []
+        for i, track in enumerate(following.tracks):
+            out += self._end(track, following.at(i, now_us), now_us)
+        following.restart(now_us)
+        self._early = []
+        return out
+
+    def _window(self, window: Window) -> list[Message]:
+        following = self._following
+        if following is None:
+            return []
+        out: list[Message] = []
+        while (tracks := self._schedule.due(window.t0_us)) is not None:
+            out += self._apply(following, tracks, window.t0_us)
+        off = Refusals()
+        routed = following.regions.route(window.batch, self._config.window_us, off)
+        following.regions.follow(routed, self._config.window_us)
+        following.backlog.push(window.t0_us, window.batch)
+        for reason, n in off.items():
+            self._refuse(reason, n)
+        self.counters["windows"] += 1
+        self.counters["events_routed"] += len(routed.t_us)
+
+        now_us = window.t1_us - 1 if window.last else window.t1_us
+        rows, self._early = self._early, []
+        for i, track in enumerate(following.tracks):
+            t_us, on = routed.of(i)
+            decided = track.links.feed(t_us, on, window.t1_us)
+            if window.last:
+                decided += track.links.flush(window.t1_us)
+            rows += self._collected(following, i, decided)
+        out += self._frames(following, rows, window.t0_us, now_us)
+        out += self._identities(following, now_us)
+        out += self._sweep(following, now_us)
+        # A stream that ends on the grid has had its turn with the window before.
+        if not window.last or now_us > window.t0_us:
+            out += self._on_the_grid(following, now_us, last=window.last)
+        self.gauges["tracks"] = float(len(following.tracks))
+        self.gauges["identities"] = float(sum(track.read for track in following.tracks))
+        self.gauges["backlog_events"] = float(following.backlog.events)
+        self.counters["repaintings"] = following.regions.repaintings
+        return out
+
+    def _apply(self, following: Following, tracks: Tracks, now_us: int) -> list[Message]:
+        applied = following.apply(tracks, now_us)
+        self._told_us = now_us
+        out: list[Message] = []
+        for track, old_name in applied.renamed:
+            out += self._rename(track, old_name, now_us)
+        for track, at in applied.ended:
+            out += self._end(track, at, now_us)
+        first = len(following.tracks) - len(applied.begun)
+        for i, (_, decided) in enumerate(applied.begun):
+            self._early += self._collected(following, first + i, decided)
+        self.counters["tracks_adopted"] += len(applied.renamed)
+        self.counters["tracks_begun"] += len(applied.begun)
+        self.counters["tracks_dropped"] += applied.dropped
+        return out
+
+    def _rename(self, track: Track, old_name: str, now_us: int) -> list[Message]:
+        """The tracker calls it anew: its state ends under the old name and goes on under the new one."""
+        state = track.state
+        if track.held is None or state is None:
+            return []
+        return [
+            self._publisher.again(state, old_name, now_us, "lost"),
+            self._publisher.again(state, track.name, now_us, "accepted"),
+        ]
+
+    def _collected(self, following: Following, i: int, decided: list[Decided]) -> list[FrameRow]:
+        """Note what track i has decided: return its frames, keep its texts until they are joined."""
+        track = following.tracks[i]
+        rows: list[FrameRow] = []
+        for one in decided:
+            if isinstance(one.item, LinkFrame):
+                frame = one.item
+                beacon = self._plan.listed(one.link, frame.payload) or self._plan.listed(one.link, None)
+                protocol = self._plan.protocol(one.link)
+                at = following.at(i, frame.t_us)
+                rows.append(FrameRow(track.serial, track.name, protocol, beacon, frame, at))
+                track.frame_us, track.frame_link = frame.t_us, one.link
+            else:
+                track.texts.append((one.link, one.item))
+        self.counters["frames"] += len(rows)
+        return rows
+
+    def _frames(self, following: Following, rows: list[FrameRow], t0_us: int, t1_us: int) -> list[Message]:
+        refused, self._refused = self._refused, Refusals()
+        for track in following.tracks:
+            taken = track.links.take_refusals()
+            if taken:
+                refused.update(taken)
+                self.refusals.update(taken)
+        if not rows and not refused:
+            return []
+        return [self._publisher.frames(rows, refused, t0_us, t1_us)]
+
+    def _identities(self, following: Following, now_us: int) -> list[Message]:
+        out: list[Message] = []
+        for i, track in enumerate(following.tracks):
+            current = track.links.accepted(now_us)
+            before, track.held = track.held, current
+            if current is None:
+                if before is not None:
+                    track.held = before
+                    out += self._lose(track, following.at(i, now_us), now_us)
+            elif before is None or not _same(before, current):
+                t_us = min(current.identity.t_us, now_us)
+                out += self._state(track, following.at(i, t_us), t_us, "accepted" if before is None else "changed")
+                self.counters["identifications"] += 1
+        return out
+
+    def _sweep(self, following: Following, now_us: int) -> list[Message]:
+        """End what nobody follows: tracks that are not read, and of which the tracker has not told for long."""
+        silent = now_us - self._told_us > SILENCE_US
+        ended = [
+            (track, following.at(i, now_us))
+            for i, track in enumerate(following.tracks)
+            if not track.read and (silent or not track.told)
+        ]
+        if not ended:
+            return []
+        out: list[Message] = []
+        for track, at in ended:
+            out += self._end(track, at, now_us)
+        following.end([track for track, _ in ended])
+        return out
+
+    def _on_the_grid(self, following: Following, now_us: int, *, last: bool) -> list[Message]:
+        out: list[Message] = []
+        if now_us % self._config.refresh_us == 0:
+            for i, track in enumerate(following.tracks):
+                out += self._texts(track)
+                if track.read:
+                    out += self._state(track, following.at(i, now_us), now_us, "refreshed")
+        if last or now_us % SECOND_US == 0:
+            out += self._quality(following, now_us)
+        if last or now_us % self._config.tracker_period_us == 0:
+            rows = [(track.name, track.links.verdict(now_us), track.frame_us) for track in following.tracks]
+            out.append(self._publisher.status(rows, now_us))
+        return out
+
+    def _quality(self, following: Following, now_us: int) -> list[Message]:
+        out: list[Message] = []
+        for track in following.tracks:
+            if not track.read and (track.frame_us < 0 or now_us - track.frame_us > SECOND_US):
+                continue
+            link = track.frame_link if track.held is None else track.held.link
+            quality = track.links.quality(link, now_us)
+            if quality is not None:
+                out.append(self._publisher.link(track.name, self._plan.protocol(link), now_us, quality))
+        return out
+
+    def _state(self, track: Track, at: Place, t_us: int, change: Change) -> list[Message]:
+        """Publish the identity that a track holds."""
+        held = track.held
+        if held is None:
+            return []
+        track.state = self._publisher.identification(
+            track.name,
+            self._plan.protocol(held.link),
+            self._plan.name(held.link, held.identity.payload),
+            held.identity,
+            at,
+            t_us,
+            change,
+        )
+        return [track.state]
+
+    def _lose(self, track: Track, at: Place, now_us: int) -> list[Message]:
+        """Publish what is left of a track's texts, and the loss of its identity."""
+        out = self._texts(track)
+        out += self._state(track, at, now_us, "lost")
+        track.held, track.state = None, None
+        return out
+
+    def _end(self, track: Track, at: Place, now_us: int) -> list[Message]:
+        return self._lose(track, at, now_us) if track.read else self._texts(track)
+
+    def _texts(self, track: Track) -> list[Message]:
+        """Publish the texts that have come since the last time, joined."""
+        out: list[Message] = []
+        texts, track.texts = track.texts, []
+        for link in dict.fromkeys(link for link, _ in texts):
+            held = track.held
+            name = self._plan.name(link, held.identity.payload if held is not None and held.link == link else None)
+            run: list[Text] = [text for its_link, text in texts if its_link == link]
+            out += self._publisher.data(track.name, self._plan.protocol(link), name, run)
+        return out
+
+
+_COUNTERS: Final = (
+    "events", "events_routed", "frames", "identifications", "repaintings", "streams",
+    "tracks_adopted", "tracks_begun", "tracks_dropped", "windows",
+)  # fmt: skip
+
+
+def _same(one: Accepted, other: Accepted) -> bool:
+    return one.link == other.link and one.identity.payload == other.identity.payload
+
+
+def _bearing(camera_text: str) -> BearingOf | None:
+    """Return what gives a pixel its bearing, or None without a camera file."""
+    if not camera_text:
+        return None
+    from heliograph.camera import parse  # noqa: PLC0415 - only a site with a camera file needs it
+
+    return parse(camera_text).bearing
+
+
+def _measure(config: DecoderConfig) -> Measure | None:
+    """Return what estimates a bit rate where one is to be measured."""
+    if config.beacons or config.bit_rate != AUTO:
+        return None
+    from heliograph.link.bitrate import estimate_bit_rate  # noqa: PLC0415 - only where it is asked for
+
+    return estimate_bit_rate
+
+
+def make_core(config: DecoderConfig, context: Context, camera_text: str = "") -> DecoderCore:
+    """Return the decoder's core.
+
+    Raises:
+        ConfigError: as `DecoderCore`.
+    """
+    return DecoderCore(config, context, camera_text)
+
+
+def warm() -> None:
+    """Compile, or load from the cache, every kernel that decoding needs."""
+    from heliograph_services.decoder.warming import warm_all  # noqa: PLC0415 - it makes a core
+
+    warm_all()

@@ -1,0 +1,332 @@
+"""Which links a site has, and the receivers of one track: a contest until one of them accepts an identity.
+
+A *link* is what a receiver must know beforehand: protocol, bit rate, options. A track is heard by one receiver a link.
+The first to accept wins, the others rest until it is lost; of two in one window the larger margin wins. A frame decided
+during a contest cannot be attributed yet, so it is held, for `CONTEST_US` at most; where a site has one link alone
+nothing is held.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from heliograph.errors import ConfigError, Refusal, Refusals
+from heliograph.events import Flags, Times
+from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Modulation, Receiver, Text, Verdict
+from heliograph.link.modulations import modulation, names
+from heliograph.site import Beacon
+from heliograph_services.decoder.config import AUTO, DecoderConfig
+
+# Four frames of 20 bits at 100 bit/s take 0.8 s: who has not accepted by then is not about to.
+CONTEST_US: Final = 1_000_000
+# 1 s of frames of 11 bits at 5 kbit/s are 455.
+HELD_LIMIT: Final = 512
+# A receiver that has given up is made anew after it, where the tracker still sees its target (paper: delay_max .5 s;
+# longer, so that one that recovers by itself keeps what it has learned).
+RETRY_US: Final = 2_000_000
+# The longest frame of the stored codes (20 bits) and of text (11) is shorter; only the loss of slow links heeds it.
+FRAME_BITS: Final = 20
+LOSS_FRAMES: Final = 5
+# To measure a bit rate: try after each quarter of a second, give up after one, keep half for the next attempt.
+MEASURE_US: Final = 250_000
+MEASURE_LIMIT_US: Final = 1_000_000
+MEASURE_EVENTS: Final = 500_000
+FOREVER_US: Final = 2**60
+
+Options = tuple[tuple[str, str | int], ...]
+ModulationOf = Callable[..., Modulation]
+Measure = Callable[[Times, Flags], float | None]
+
+
+@dataclass(frozen=True, slots=True)
+class LinkKey:
+    """What distinguishes a link; bit_rate None is to be measured."""
+
+    protocol: str
+    bit_rate: float | None
+    options: Options
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    key: LinkKey
+    modulation: Modulation
+    receiver: str
+
+
+class LinkPlan:
+    """The links of a site, and the names of its beacons.
+
+    Args:
+        config: the decoder's settings.
+        modulation_of: makes a modulation of its name and options.
+        measure: estimates a bit rate; None where none can be measured.
+
+    Raises:
+        ConfigError: a modulation, an option, a payload or a receiver is unknown.
+    """
+
+    def __init__(
+        self, config: DecoderConfig, modulation_of: ModulationOf = modulation, measure: Measure | None = None
+    ) -> None:
+        self.loss_us = config.loss_us
+        self.measure = measure
+        self.rows = [
+            _Row(key, _modulation(modulation_of, key, config.beacons), config.receiver)
+            for key in _keys(config.beacons, config)
+        ]
+        self._settle_receivers(config.receiver)
+        self._names: dict[tuple[LinkKey, int | None], str] = {}
+        for beacon in config.beacons:
+            known = (_key_of(beacon), beacon.payload)
+            # Two listed beacons that send the same cannot be told apart: they are called by what they send.
+            self._names[known] = "" if known in self._names else beacon.name
+
+    def _settle_receivers(self, wanted: str) -> None:
+        """A modulation that lacks the wanted receiver uses its default, unless all lack it."""
+        refused: list[str] = []
+        for i, row in enumerate(self.rows):
+            try:
+                row.modulation.receiver(row.key.bit_rate or 1000.0, wanted)
+            except ValueError as error:
+                refused.append(str(error))
+                self.rows[i] = _Row(row.key, row.modulation, "default")
+        if len(refused) == len(self.rows):
+            raise ConfigError(refused[0])
+
+    def receiver(self, link: int, bit_rate: float | None) -> Receiver:
+        """Return a new receiver of a link; bit_rate is the measured one, where the link has none."""
+        row = self.rows[link]
+        return row.modulation.receiver(row.key.bit_rate or bit_rate or 1000.0, row.receiver)
+
+    def protocol(self, link: int) -> str:
+        """Return the name of the link's modulation."""
+        return self.rows[link].key.protocol
+
+    def loss_after_us(self, link: int, bit_rate: float) -> int:
+        """Return how long an identity of the link lives without support: max(loss_us, 5 frames)."""
+        bits = getattr(self.rows[link].modulation, "frame_bits", FRAME_BITS)
+        return max(self.loss_us, round(LOSS_FRAMES * bits / max(bit_rate, 1.0) * 1e6))
+
+    def listed(self, link: int, payload: int | None) -> str | None:
+        """Return the name of the listed beacon that sends this payload on this link."""
+        return self._names.get((self.rows[link].key, payload)) or None
+
+    def name(self, link: int, payload: int | None) -> str:
+        """Return what the beacon is called: its name, PROTOCOL:PAYLOAD, or PROTOCOL alone for text."""
+        protocol = self.rows[link].key.protocol
+        return self.listed(link, payload) or (protocol if payload is None else f"{protocol}:{payload}")
+
+
+def _key_of(beacon: Beacon) -> LinkKey:
+    return LinkKey(beacon.protocol, float(beacon.bit_rate), tuple(sorted(beacon.options.items())))
+
+
+def _keys(beacons: tuple[Beacon, ...], config: DecoderConfig) -> list[LinkKey]:
+    if beacons:
+        return list(dict.fromkeys(_key_of(beacon) for beacon in beacons))
+    rate = None if isinstance(config.bit_rate, str) else float(config.bit_rate)
+    protocols = names() if config.protocol == AUTO else [config.protocol]
+    options = () if config.protocol == AUTO else tuple(sorted(config.options.items()))
+    return [LinkKey(protocol, rate, options) for protocol in protocols]
+
+
+def _modulation(modulation_of: ModulationOf, key: LinkKey, beacons: tuple[Beacon, ...]) -> Modulation:
+    """Return the link's modulation; a listed payload that a lamp can imitate is read because it is listed."""
+    options = dict(key.options)
+    try:
+        kind = modulation_of(key.protocol, **options)
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
+    periodic = False
+    for beacon in beacons:
+        if _key_of(beacon) != key or beacon.payload is None:
+            continue
+        try:
+            kind.encode(beacon.payload)
+        except (ValueError, TypeError) as error:
+            raise ConfigError(f"beacon {beacon.name}: {error}") from None
+        advice = getattr(kind, "advice", None)
+        periodic = periodic or (advice is not None and advice(beacon.payload) is not None)
+    return modulation_of(key.protocol, **(options | {"allow_periodic": 1})) if periodic else kind
+
+
+@dataclass(frozen=True, slots=True)
+class Decided:
+    """A frame or a text of a track, and the link it came by."""
+
+    link: int
+    item: LinkFrame | Text
+
+
+@dataclass(frozen=True, slots=True)
+class Accepted:
+    """The identity that a track holds, and the link it came by."""
+
+    link: int
+    identity: Identity
+
+
+@dataclass(slots=True)
+class _Contender:
+    link: int
+    receiver: Receiver
+    bit_rate: float
+    counted: Refusals = field(default_factory=Refusals)
+    held: list[LinkFrame | Text] = field(default_factory=list)
+    invalid_since_us: int | None = None
+
+
+class TrackLinks:
+    """All receivers of one track.
+
+    Args:
+        plan: the links of the site.
+    """
+
+    def __init__(self, plan: LinkPlan) -> None:
+        self._plan = plan
+        self._contenders: list[_Contender] = []
+        self._winner: _Contender | None = None
+        self._refusals = Refusals()
+        self._kept: list[tuple[Times, Flags]] = []
+        self._rate: float | None = None
+        self._try_us: int | None = None
+        self.contested = 0  # windows in which two links accepted at once
+        self.outvoted = 0  # frames of links that lost the contest
+        if all(row.key.bit_rate is not None for row in plan.rows):
+            self._enter(range(len(plan.rows)))
+
+    def _enter(self, links: range | list[int]) -> None:
+        for link in links:
+            rate = self._plan.rows[link].key.bit_rate or self._rate or 1000.0
+            self._contenders.append(_Contender(link, self._plan.receiver(link, rate), rate))
+        self._contenders.sort(key=lambda one: one.link)
+
+    def feed(self, t_us: Times, on: Flags, until_us: int) -> list[Decided]:
+        """Take the track's events before until_us (see Receiver.feed); return what is published of them."""
+        if not self._contenders:
+            measured = self._measured(t_us, on, until_us)
+            if measured is None:
+                return []
+            t_us, on = measured
+        for one in self._contenders:
+            one.held += one.receiver.feed(t_us, on, until_us)
+            del one.held[:-HELD_LIMIT]
+        return self._settle(until_us)
+
+    def flush(self, now_us: int) -> list[Decided]:
+        """Decide and return all that is held: the track's stream has ended."""
+        for one in self._contenders:
+            one.held += one.receiver.flush()
+        return self._settle(now_us, hold_us=-FOREVER_US)
+
+    def _settle(self, now_us: int, hold_us: int = CONTEST_US) -> list[Decided]:
+        if self._winner is not None and not self._supported(self._winner, now_us):
+            self._winner = None
+            absent = [i for i in range(len(self._plan.rows)) if all(one.link != i for one in self._contenders)]
+            self._enter(absent)
+        elif self._winner is None:
+            self._vote(now_us)
+        self._renew(now_us)
+        newest_us = now_us + 1 if len(self._contenders) == 1 else now_us - hold_us
+        out: list[Decided] = []
+        for one in self._contenders:
+            out += [Decided(one.link, item) for item in one.held if item.t_us <= newest_us]
+            one.held = [item for item in one.held if item.t_us > newest_us]
+        return out
+
+    def _vote(self, now_us: int) -> None:
+        accepting = [one for one in self._contenders if self._supported(one, now_us)]
+        if not accepting:
+            return
+        margins = {one.link: identity.margin for one in accepting if (identity := one.receiver.identity())}
+        self._winner = max(accepting, key=lambda one: (margins[one.link], -one.link))
+        self.contested += len(accepting) > 1
+        for one in self._contenders:
+            if one is not self._winner:
+                self._count(one)
+                self.outvoted += len(one.held)
+        self._contenders = [self._winner]
+
+    def _renew(self, now_us: int) -> None:
+        """Replace receivers that gave up long ago."""
+        for one in self._contenders:
+            if one.receiver.verdict(now_us) != "invalid":
+                one.invalid_since_us = None
+            elif one.invalid_since_us is None:
+                one.invalid_since_us = now_us
+            elif now_us - one.invalid_since_us >= RETRY_US:
+                self._count(one)
+                one.receiver = self._plan.receiver(one.link, one.bit_rate)
+                one.counted = Refusals()
+                one.invalid_since_us = None
+
+    def _supported(self, one: _Contender, now_us: int) -> bool:
+        identity = one.receiver.identity()
+        if identity is None or one.receiver.verdict(now_us) == "invalid":
+            return False
+        return now_us - identity.t_us <= self._plan.loss_after_us(one.link, one.bit_rate)
+
+    def _measured(self, t_us: Times, on: Flags, until_us: int) -> tuple[Times, Flags] | None:
+        """Collect events until a bit rate is found; then enter the receivers and return what they are to hear."""
+        if len(t_us) and sum(len(t) for t, _ in self._kept) < MEASURE_EVENTS:
+            self._kept.append((t_us, on))
+        if not self._kept:
+            return None
+        first_us = int(self._kept[0][0][0])
+        if self._try_us is None:
+            self._try_us = first_us + MEASURE_US
+        if until_us < self._try_us:
+            return None
+        all_t = np.concatenate([t for t, _ in self._kept])
+        all_on = np.concatenate([o for _, o in self._kept])
+        self._rate = self._plan.measure(all_t, all_on) if self._plan.measure is not None else None
+        if self._rate is not None:
+            self._kept = []
+            self._enter(range(len(self._plan.rows)))
+            return all_t, all_on
+        self._try_us = until_us + MEASURE_US
+        if until_us - first_us >= MEASURE_LIMIT_US:
+            self._refusals[Refusal.NO_CLOCK] += 1
+            late = int(np.searchsorted(all_t, until_us - MEASURE_LIMIT_US // 2))
+            self._kept = [(all_t[late:], all_on[late:])] if late < len(all_t) else []
+        return None
+
+    def accepted(self, now_us: int) -> Accepted | None:
+        """Return the identity that the track holds at now_us."""
+        if self._winner is None or not self._supported(self._winner, now_us):
+            return None
+        identity = self._winner.receiver.identity()
+        return None if identity is None else Accepted(self._winner.link, identity)
+
+    def verdict(self, now_us: int) -> Verdict:
+        """Return what the track is: the best that any of its receivers says."""
+        verdicts = {one.receiver.verdict(now_us) for one in self._contenders}
+        if "valid" in verdicts:
+            return "valid"
+        return "invalid" if verdicts == {"invalid"} else "new"
+
+    def quality(self, link: int, now_us: int) -> LinkQuality | None:
+        """Return how well a link was read over the last second; None where its receiver rests."""
+        for one in self._contenders:
+            if one.link == link:
+                return one.receiver.quality(now_us)
+        return None
+
+    def _count(self, one: _Contender) -> None:
+        for reason, n in one.receiver.refusals.items():
+            if n > one.counted[reason]:
+                self._refusals[reason] += n - one.counted[reason]
+                one.counted[reason] = n
+
+    def take_refusals(self) -> Refusals:
+        """Return what was refused since the last call."""
+        for one in self._contenders:
+            self._count(one)
+        taken, self._refusals = self._refusals, Refusals()
+        return taken

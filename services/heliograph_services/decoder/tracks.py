@@ -1,0 +1,135 @@
+"""The decoder's tracks: who is followed under which name, what it is held to be, and what happens when Tracks come.
+
+A Tracks message that lacks a track ends it, unless the decoder reads it at that moment: then its region goes on by
+itself until it is no longer read, or until a new name turns up on its spot (a restarted tracker) and *adopts* it:
+receiver, identity and region move over to the new name.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+from heliograph.link.contract import Text
+from heliograph.messages import Identification, Tracks
+from heliograph_services.decoder.links import Accepted, TrackLinks
+from heliograph_services.decoder.regions import Place, place
+
+# Where the tracker has been silent for so long, only what is read goes on (paper: a valid track's delay_max).
+SILENCE_US: Final = 2_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What a Tracks message says of one track, at its instant."""
+
+    name: str
+    born_us: int
+    place: Place
+
+
+@dataclass(slots=True)
+class Track:
+    """One followed target.
+
+    Args:
+        serial: counts the decoder's tracks; their order everywhere.
+        name: the tracker's, on the bus.
+        links: its receivers.
+    """
+
+    serial: int
+    name: str
+    links: TrackLinks
+    held: Accepted | None = None
+    beacon: str = ""
+    told: bool = True  # the newest Tracks message has it
+    texts: list[tuple[int, Text]] = field(default_factory=list)  # link, text; since the last refresh
+    state: Identification | None = None  # the last one published
+    frame_us: int = -1  # end of its last frame
+    frame_link: int = 0
+
+    @property
+    def read(self) -> bool:
+        """Whether the decoder reads it at this moment."""
+        return self.held is not None
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What a Tracks message does to the tracks that are followed.
+
+    Args:
+        update: tracks to go on, and what is told of them.
+        adopt: tracks to go on under another name.
+        end: tracks that end.
+        new: tracks to begin.
+    """
+
+    update: list[tuple[Track, Told]]
+    adopt: list[tuple[Track, Told]]
+    end: list[Track]
+    new: list[Told]
+
+
+def told_by(tracks: Tracks, scale: float, margin_px: float, max_px: float) -> list[Told]:
+    """Return the rows of a message with their regions: reach = scale * radius + margin, at most max_px.
+
+    A track that is born after the message's own instant counts as born at it.
+    """
+    columns = zip(
+        tracks.track, tracks.born_us, tracks.x_px, tracks.y_px, tracks.vx_px_s, tracks.vy_px_s, tracks.radius_px,
+        strict=True,
+    )  # fmt: skip
+    return [
+        Told(name, min(born, tracks.as_of_us), place(x, y, vx, vy, min(scale * radius + margin_px, max_px)))
+        for name, born, x, y, vx, vy, radius in columns
+    ]
+
+
+def plan_of(followed: list[Track], places: list[Place], told: list[Told], elapsed_us: int) -> Plan:
+    """Return what a message means for the tracks.
+
+    Args:
+        followed: the tracks, in their order.
+        places: where they are now.
+        told: the message's rows.
+        elapsed_us: from the message's instant to now.
+    """
+    by_name = {row.name: row for row in told}
+    names = {track.name for track in followed}
+    update = [(track, by_name[track.name]) for track in followed if track.name in by_name]
+    missing = [(track, at) for track, at in zip(followed, places, strict=True) if track.name not in by_name]
+    new = [row for row in told if row.name not in names]
+    adopt = _pairs(missing, new, elapsed_us) if missing and new else []
+    taken_tracks = {track.serial for track, _ in adopt}
+    taken_names = {row.name for _, row in adopt}
+    return Plan(
+        update,
+        adopt,
+        [track for track, _ in missing if track.serial not in taken_tracks and not track.read],
+        [row for row in new if row.name not in taken_names],
+    )
+
+
+def _pairs(missing: list[tuple[Track, Place]], new: list[Told], elapsed_us: int) -> list[tuple[Track, Told]]:
+    """Return tracks without a name and names without a track that are on one spot: nearest first, each once.
+
+    One spot means that each one's centre lies in the other's region.
+    """
+    candidates: list[tuple[float, int, int]] = []
+    for i, (_, own) in enumerate(missing):
+        for k, row in enumerate(new):
+            there = row.place.after(elapsed_us)
+            away = own.away_px(there)
+            if away <= min(own.reach_px, there.reach_px):
+                candidates.append((away, i, k))
+    pairs: list[tuple[Track, Told]] = []
+    used_i: set[int] = set()
+    used_k: set[int] = set()
+    for _, i, k in sorted(candidates):
+        if i not in used_i and k not in used_k:
+            used_i.add(i)
+            used_k.add(k)
+            pairs.append((missing[i][0], new[k]))
+    return pairs
