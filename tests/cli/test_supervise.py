@@ -164,7 +164,7 @@ def test_a_source_whose_recording_ends_at_once_is_not_played_again(supervised: C
 def test_a_source_with_a_wrong_setting_is_not_started_again(supervised: Callable[..., Supervised]) -> None:
     s = supervised(("source", "event_source", "import sys; print('no file x', file=sys.stderr); sys.exit(2)"))
     s.start(follow_parent=False)
-    with pytest.raises(SupervisionError, match="source did not start .*no file x"):
+    with pytest.raises(SupervisionError, match=r"source did not start .*no file x"):
         s.wait_running()
     assert s.states()[0].restarts == 0
 
@@ -248,7 +248,7 @@ def test_an_occupied_port_is_told_in_one_line(tmp_path: Path, free_endpoint: str
     run_dir = ["--run-dir", str(tmp_path / "run")]
     try:
         supervise.run(["up", str(path), *run_dir])
-        with pytest.raises(SupervisionError, match="router did not start .*cannot open the bus") as caught:
+        with pytest.raises(SupervisionError, match=r"router did not start .*cannot open the bus") as caught:
             supervise.run(["up", str(other), *run_dir])
         assert "\n" not in str(caught.value)
     finally:

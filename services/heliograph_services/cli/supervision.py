@@ -187,6 +187,10 @@ class Supervised:
         spawned = self._spawned()
         return [_state_of(p, rows[p.name], spawned.get(p.name, 0)) for p in self.plan.programs if p.name in rows]
 
+    def last_line(self, name: str) -> str:
+        """Return what a process wrote last ("" for nothing)."""
+        return last_line(log_of(self.plan, name))
+
     def _spawned(self) -> dict[str, int]:
         """Return how often each process was started, from supervisord's log."""
         counts: dict[str, int] = {}
@@ -215,7 +219,7 @@ class Supervised:
             for state in states:
                 failed = state.state in {"backoff", "fatal", "exited"} and not state.ended_well
                 if failed or state.restarts or (time.monotonic() > end and not _settled(state)):
-                    said = last_line(log_of(self.plan, state.name)) or "it wrote nothing"
+                    said = self.last_line(state.name) or "it wrote nothing"
                     raise SupervisionError(f"{state.name} did not start ({state.state}): {said}")
             if all(_settled(state) for state in states):
                 return states

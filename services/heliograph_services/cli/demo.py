@@ -1,0 +1,280 @@
+"""The demo: all services as separate processes on this machine, and a client that prints who is there.
+
+``deploy/demo`` sets everything up and runs this. What it makes lies in a temporary folder and goes with it. The last
+line on stdout is one JSON object; exit status 0 only if every expected identification arrived.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import socket
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from heliograph.errors import BusError, HeliographError
+from heliograph.messages import Data, Frames, Identification
+from heliograph.shell.bus import Bus, connected
+from heliograph.shell.links import client_config
+from heliograph.shell.process import Stop
+from heliograph.shell.site import Site, load_site
+from heliograph.site import Beacon
+from heliograph.wire import SCHEMAS
+from heliograph_services.cli.demo_view import Lines, Table, View
+from heliograph_services.cli.plan import plan_of
+from heliograph_services.cli.supervision import ProcessState, Supervised, SupervisionError
+
+_NOT_ALL: Final = 1
+_WRONG: Final = 2
+_WAIT_S: Final = 0.05
+_LOOK_S: Final = 0.25
+# Starting five processes with warm kernels takes 3 to 5 s on two cores; a loaded machine may need several times that.
+_GRACE_S: Final = 40.0
+# After the source has ended: the decoder's last window, its last refresh, and the metrics sink's last commit.
+_DRAIN_S: Final = 1.5
+# When the tracker is killed: everybody is identified by then, and enough is left to see it come back.
+_KILL_AT: Final = 0.5
+
+
+@dataclass
+class Tally:
+    """What the demo has seen."""
+
+    identified: set[str] = field(default_factory=set)
+    frames: int = 0
+    most_processes: int = 0
+    restarts: int = 0
+    refreshed: Counter[str] = field(default_factory=Counter)
+
+
+@dataclass
+class Kill:
+    """The tracker's death and return."""
+
+    pid: int
+    at: float
+    refreshed_before: Counter[str]
+    back_s: float | None = None
+    refreshed: Counter[str] = field(default_factory=Counter)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the demo; return its exit status."""
+    arguments = _parser().parse_args(argv)
+    stop = Stop()
+    stop.install()
+    try:
+        with tempfile.TemporaryDirectory(prefix="heliograph-demo-") as folder:
+            return _run(arguments, Path(folder), stop)
+    except HeliographError as error:
+        print(f"demo: {error}", file=sys.stderr)
+        return _WRONG
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="deploy/demo", description="The whole system on this machine, as processes.")
+    parser.add_argument("--headless", action="store_true", help="plain lines, also on a terminal")
+    parser.add_argument("--duration", type=_duration, default=10.0, metavar="S", help="seconds of the scene (10)")
+    parser.add_argument("--scenario", default="five", metavar="NAME", help="built-in scene, or a scenario file (five)")
+    parser.add_argument("--kill-tracker", action="store_true", help="kill the tracker midway with signal 9")
+    return parser
+
+
+def _duration(text: str) -> float:
+    value = float(text)
+    # Acceptance of a text beacon takes a second, and the processes start within the first ones.
+    if not 3.0 <= value <= 3600.0:
+        raise argparse.ArgumentTypeError(f"must be 3 to 3600 s, not {text}")
+    return value
+
+
+def _run(arguments: argparse.Namespace, folder: Path, stop: Stop) -> int:
+    site = _site(arguments, folder)
+    expected = sorted(beacon.name for beacon in site.beacon)
+    view: View = Table() if sys.stdout.isatty() and not arguments.headless else Lines()
+    tally = Tally()
+    kill: Kill | None = None
+    start = time.monotonic()
+    supervised = Supervised(plan_of(site, folder))
+    supervised.start(follow_parent=True)
+    with supervised, view:
+        with connected(client_config(site.bus), site.site, f"client/{os.getpid()}", stop) as bus:
+            if bus is not None:
+                kill = _follow(bus, supervised, view, tally, arguments, stop)
+        if not stop:
+            supervised.stop()
+    if stop:
+        return 128 + signal.SIGINT
+    result = {
+        "identified": sorted(tally.identified),
+        "expected": expected,
+        "missing": sorted(set(expected) - tally.identified),
+        "unexpected": sorted(tally.identified - set(expected)),
+        "processes": tally.most_processes,
+        "frames": tally.frames,
+        "mar": _mar(folder / "metrics.sqlite"),
+        "duration_s": round(time.monotonic() - start, 1),
+        "restarts": tally.restarts,
+    }
+    if kill is not None:
+        result["tracker_back_s"] = None if kill.back_s is None else round(kill.back_s, 2)
+        result["refreshed_meanwhile"] = dict(sorted(kill.refreshed.items()))
+    print(json.dumps(result), flush=True)
+    return _NOT_ALL if result["missing"] else 0
+
+
+def _follow(
+    bus: Bus, supervised: Supervised, view: View, tally: Tally, arguments: argparse.Namespace, stop: Stop
+) -> Kill | None:
+    """Show what arrives until the scene has ended."""
+    inbox = bus.subscribe({name: SCHEMAS[name] for name in ("ids", "messages", "frames")})
+    kill: Kill | None = None
+    start = now = looked = time.monotonic()
+    deadline = start + arguments.duration + _GRACE_S
+    running_since: float | None = None
+    until = deadline
+    while not stop and now < until:
+        sample = inbox.get(_WAIT_S)
+        opened = bus.open(sample) if sample else None
+        if opened is not None:
+            _take(opened[1], view, tally)
+        now = time.monotonic()
+        if now - looked < _LOOK_S:
+            continue
+        looked = now
+        states = {state.name: state for state in supervised.states()}
+        _judge(states, supervised, tally, allow_restarts=kill is not None)
+        source = states["event_source"]
+        if running_since is None and tally.identified:
+            running_since = now
+        if source.ended_well and until == deadline:
+            until = min(deadline, now + _DRAIN_S)
+        if kill is None and arguments.kill_tracker and running_since and now - start > arguments.duration * _KILL_AT:
+            kill = _kill_tracker(states["tracker"], view, tally)
+        elif kill is not None and kill.back_s is None:
+            _look_for_tracker(kill, states["tracker"], view, tally)
+    if now >= deadline:
+        raise BusError(f"the scene did not end within {arguments.duration + _GRACE_S:g} s; is this machine overloaded?")
+    return kill
+
+
+def _take(message: object, view: View, tally: Tally) -> None:
+    if isinstance(message, Identification):
+        view.state(message)
+        if not message.lost:
+            tally.identified.add(message.beacon)
+            tally.refreshed[message.beacon] += 1
+    elif isinstance(message, Data):
+        view.text(message)
+    elif isinstance(message, Frames):
+        tally.frames += len(message.t_us)
+
+
+def _judge(states: dict[str, ProcessState], supervised: Supervised, tally: Tally, *, allow_restarts: bool) -> None:
+    """Count processes and restarts.
+
+    Raises:
+        SupervisionError: a process failed that nobody killed.
+    """
+    if not states:
+        raise SupervisionError("the supervisor ended")
+    tally.most_processes = max(
+        tally.most_processes, sum(state.state in {"starting", "running"} for state in states.values())
+    )
+    tally.restarts = sum(state.restarts for state in states.values())
+    for state in states.values():
+        failed = state.state in {"backoff", "fatal", "exited"} and not state.ended_well
+        if (failed or state.restarts) and not (allow_restarts and state.name == "tracker"):
+            said = supervised.last_line(state.name) or "it wrote nothing"
+            raise SupervisionError(f"{state.name} failed ({state.state}): {said}")
+
+
+def _kill_tracker(tracker: ProcessState, view: View, tally: Tally) -> Kill | None:
+    if not tracker.pid:
+        return None
+    os.kill(tracker.pid, signal.SIGKILL)
+    view.note(f"killed the tracker (pid {tracker.pid}) with signal 9")
+    return Kill(tracker.pid, time.monotonic(), Counter(tally.refreshed))
+
+
+def _look_for_tracker(kill: Kill, tracker: ProcessState, view: View, tally: Tally) -> None:
+    """Take note of the tracker's return; until then identifications must go on being refreshed."""
+    kill.refreshed = tally.refreshed - kill.refreshed_before
+    if tracker.state == "running" and tracker.pid not in {0, kill.pid}:
+        kill.back_s = time.monotonic() - kill.at
+        told = ", ".join(f"{name} {n}" for name, n in sorted(kill.refreshed.items()))
+        view.note(f"the tracker is back after {kill.back_s:.1f} s (pid {tracker.pid}); refreshed meanwhile: {told}")
+
+
+def _mar(path: Path) -> float | None:
+    """Return MAR_sent (visible) as the metrics sink counted it, or None where it had no truth."""
+    from heliograph_services.metrics_sink.summary import summarise  # noqa: PLC0415 - after the run alone
+
+    try:
+        accuracy = summarise(path).accuracy
+    except HeliographError:
+        return None
+    value = accuracy.mar_visible.value if accuracy else None
+    return None if value is None else round(value, 4)
+
+
+def _site(arguments: argparse.Namespace, folder: Path) -> Site:
+    """Write the demo's site file, and return it as the processes read it."""
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{s.getsockname()[1]}"
+    path = folder / "demo.toml"
+    path.write_text(site_text(arguments.scenario, arguments.duration, endpoint, folder), encoding="utf-8")
+    return load_site(path)
+
+
+def site_text(scenario: str, duration_s: float, endpoint: str, folder: Path) -> str:
+    """Return a site file for a scenario: all services, and the scenario's beacons by name."""
+    services: list[dict[str, Any]] = [
+        {"kind": "event_source", "backend": "simulated", "scenario": scenario, "duration_s": duration_s},
+        {"kind": "tracker"},
+        {"kind": "decoder"},
+        {"kind": "metrics_sink", "file": str(folder / "metrics.sqlite")},
+    ]
+    lines = [
+        'site = "demo"',
+        'host = "demo"',
+        "[bus]",
+        f'connect = ["{endpoint}"]',
+        "[router]",
+        f'listen = ["{endpoint}"]',
+    ]
+    for service in services:
+        lines += ["[[service]]", *(f"{name} = {json.dumps(value)}" for name, value in service.items())]
+    for beacon in _beacons(scenario):
+        lines += ["[[beacon]]", *_beacon_lines(beacon)]
+    return "\n".join(lines) + "\n"
+
+
+def _beacons(scenario: str) -> list[Beacon]:
+    from heliograph_services.event_source.simulation.scenario import load_scenario  # noqa: PLC0415 - wanted here alone
+
+    return [beacon.beacon for beacon in load_scenario(scenario).beacons]
+
+
+def _beacon_lines(beacon: Beacon) -> list[str]:
+    lines = [f"name = {json.dumps(beacon.name)}", f"protocol = {json.dumps(beacon.protocol)}"]
+    lines.append(f"bit_rate = {beacon.bit_rate}")
+    if beacon.payload is not None:
+        lines.append(f"payload = {beacon.payload}")
+    if beacon.options:
+        pairs = ", ".join(f"{name} = {json.dumps(value)}" for name, value in beacon.options.items())
+        lines.append(f"options = {{ {pairs} }}")
+    return lines
+
+
+if __name__ == "__main__":
+    sys.exit(main())
