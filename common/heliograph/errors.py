@@ -49,6 +49,7 @@ class Refusal(Enum):
     # Events and files.
     TRUNCATED = "file ends in the middle of a record"
     UNORDERED = "events out of order"
+    DAMAGED = "file is damaged"
     # Tracking.
     TOO_FEW_PIXELS = "target too small"
     TOO_MANY_PIXELS = "target too large"

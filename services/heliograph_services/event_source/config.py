@@ -1,0 +1,66 @@
+"""Settings of an event source: one camera, brought to the bus. Defaults, ranges, and where each number comes from."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from heliograph.errors import ConfigError
+from heliograph.messages import SENSOR_LIMIT_PX, Name
+
+Format = Literal["auto", "aedat4", "evt2", "evt3", "dat", "es", "csv", "npz", "mat"]
+
+
+class EventSourceConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """All settings of the process."""
+
+    camera: Annotated[Name, Meta(description="name of the camera on the bus")] = "cam0"
+    backend: Annotated[str, Meta(description="what the events come from: recording, simulated, or an entry point")] = (
+        "recording"
+    )
+    camera_file: Annotated[str, Meta(description="TOML with intrinsics and mount; checked against the sensor")] = ""
+
+    # recording
+    file: Annotated[str, Meta(description="recording to play")] = ""
+    format: Annotated[Format, Meta(description="format of the file; auto goes by its first bytes, then its name")] = (
+        "auto"
+    )
+    width: Annotated[int, Meta(ge=0, le=SENSOR_LIMIT_PX, description="sensor width where the file has none, px")] = 0
+    height: Annotated[int, Meta(ge=0, le=SENSOR_LIMIT_PX, description="sensor height where the file has none, px")] = 0
+    loop: Annotated[bool, Meta(description="play the recording again and again; time goes on")] = False
+
+    # simulated
+    scenario: Annotated[str, Meta(description="built-in scene (five, still, empty) or a scenario file")] = "five"
+    seed: Annotated[int, Meta(ge=0, le=2**32 - 1, description="seed of the simulation")] = 0
+
+    duration_s: Annotated[
+        float, Meta(ge=0.0, le=1e6, description="stop after this time of the camera; 0: no limit")
+    ] = 0.0
+    pace: Annotated[float, Meta(ge=0.0, le=1000.0, description="1: real time; 2: twice as fast; 0: no waiting")] = 1.0
+    # 1 to 5 ms: shorter costs more a message than it gains, longer is what a listener waits (measured on Zenoh 1.10).
+    window_us: Annotated[int, Meta(ge=100, le=1_000_000, description="length of a batch of events, us")] = 2_000
+    # 10k events are 81 kB: as large as a message may grow before it delays the ones behind it.
+    max_events: Annotated[int, Meta(ge=1, le=1_000_000, description="events a message, at most")] = 10_000
+
+    # onsets
+    # A target at 700 px/s moves 3.5 px in 5 ms, less than a beacon's diameter, so its blob stays round; at 100 ms it
+    # is a streak that no shape filter passes.
+    tick_us: Annotated[int, Meta(ge=100, le=100_000, description="length of an onset tick, us")] = 5_000
+    pool_px: Annotated[int, Meta(ge=1, le=64, description="side of the square of pixels that makes one onset")] = 1
+    gate: Annotated[
+        Literal["open", "active"], Meta(description="open: every active pixel and tick; active: none that stand alone")
+    ] = "active"
+    # Noise at 0.1 events/(px s) has another event in the 3x3 px of the same 5 ms in 0.4 % of all cases; a beacon of
+    # two pixels always has.
+    min_events: Annotated[int, Meta(ge=1, le=255, description="events in 3x3 px and a tick for the active gate")] = 2
+
+    wait_for: Annotated[tuple[Name, ...], Meta(description="services that a lockstep source waits for")] = (
+        "tracker",
+        "decoder",
+    )
+
+    def __post_init__(self) -> None:
+        if (self.width == 0) != (self.height == 0):
+            raise ConfigError(f"width and height must be given together, not {self.width} x {self.height}")

@@ -1,0 +1,80 @@
+"""A camera and the source's core tied together: an iteration of steps, without a clock; who runs it keeps the pace."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import msgspec
+
+from heliograph import onsets
+from heliograph.core import Context
+from heliograph.messages import Message
+from heliograph_services.event_source.cameras import open_camera
+from heliograph_services.event_source.cameras.contract import Camera
+from heliograph_services.event_source.config import EventSourceConfig
+from heliograph_services.event_source.core import CameraInfo, SourceCore
+
+# Every step of a lockstep costs a round trip to all services; results do not depend on its length.
+LOCKSTEP_WINDOW_US: Final = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What happened until t1_us, as records ready to be sent; `end`: nothing follows."""
+
+    t1_us: int
+    messages: list[Message]
+    end: bool
+
+
+class SourceStream:
+    """The steps of a camera; to be iterated once.
+
+    Args:
+        camera: opened; closed when the iteration ends or is given up.
+        core: what makes records of its windows; its refusals, counters and gauges are the stream's.
+    """
+
+    def __init__(self, camera: Camera, core: SourceCore) -> None:
+        self.camera = camera
+        self.core = core
+        self.refusals = core.refusals
+        self.counters = core.counters
+        self.gauges = core.gauges
+
+    def __iter__(self) -> Iterator[Step]:
+        try:
+            for window in self.camera.windows():
+                yield Step(window.t1_us, self.core.feed(window), window.end)
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """Let go of the camera."""
+        self.camera.close()
+
+
+def lockstep_window_us(config: EventSourceConfig) -> int:
+    """Return the window of a lockstep source: whole onset ticks, so that a tracker can finish all of a step."""
+    return -(-max(config.window_us, LOCKSTEP_WINDOW_US) // config.tick_us) * config.tick_us
+
+
+def open_stream(config: EventSourceConfig, context: Context) -> SourceStream:
+    """Return the stream of a configuration: camera open, kernels warm.
+
+    Raises:
+        ConfigError: a setting is wrong.
+        FileError: the recording cannot be read.
+    """
+    if context.lockstep:
+        config = msgspec.structs.replace(config, window_us=lockstep_window_us(config))
+    camera = open_camera(config, context)
+    onsets.warm()
+    return SourceStream(camera, SourceCore(config, CameraInfo(camera.width, camera.height)))
+
+
+def steps(config: EventSourceConfig, context: Context) -> Iterator[Step]:
+    """Yield the steps of a configuration; raises as `open_stream`."""
+    yield from open_stream(config, context)
