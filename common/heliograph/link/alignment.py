@@ -1,0 +1,207 @@
+"""Where a frame begins among n bit positions, and what becomes of each frame.
+
+Every slot closes a window of n bits; its evidence is E = ln(mean over words L(w) / mean over all 2^n bits L). At the
+right position it is n ln 2 - ln W for each frame that is read (seed11: 3.5 nats, code20d4: 7.6), elsewhere it is
+negative, whether the payload repeats or changes from frame to frame. Each position r = m mod n keeps a running sum::
+
+    A_r <- 0.9 A_r + max(E, -3)
+
+The track is *aligned* at r when A_r >= 6 and it leads all others by 3 nats; the frames since the lock are then decided
+in their order, so a cold start costs none. Aligned, only the windows at r are decided; when A_r falls below -3 (a bit
+slipped) the search starts anew over the last frames. An ambiguous word leads at two positions and never aligns.
+
+A frame is decided on its own n bits and published once.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numba
+import numpy as np
+
+from heliograph.link import response
+from heliograph.link.likelihood import BEST, EVIDENCE, MARGIN, SCORE, VERDICT_FIELDS, decide, plain_bits
+from heliograph.link.state import (
+    ALIGNED,
+    AT,
+    EDGE,
+    EVENTS,
+    HARD,
+    LAST_END,
+    OCCLUSION,
+    OFF_GRID,
+    OUT,
+    OUT_CODE,
+    OUT_END,
+    OUT_MARGIN,
+    OUT_SCORE,
+    OUT_SLOT,
+    OUTSIDE,
+    RING,
+    RUN,
+    SEARCHED,
+    SLOT,
+    TRUST,
+    WEAK,
+    State,
+)
+
+# A frame of seed11 read without doubt twice (3.5 + 0.9 * 3.5 nats): by chance once in e^6 windows, and it must lead.
+ALIGN: Final = 6.0
+LEAD: Final = 3.0
+DECAY: Final = 0.9
+MISS: Final = -3.0
+# Frames after which a search that found nothing gives the clock up.
+SEARCH_FRAMES: Final = 8
+# A score is the probability of being right: at one half and above, publishing is right more often than not.
+ACCEPT: Final = 0.5
+# Learning from a frame that is wrong spoils the next ones; nine in ten is the usual bar of decision direction.
+LEARN: Final = 0.9
+# Of a frame's events, more outside the transitions' place than inside, and this many: light on another grid.
+OFF_GRID_EVENTS: Final = 8
+
+
+@numba.njit(cache=True, nogil=True)
+def place(state: State) -> bool:
+    """Take note of the slot that is closing (ints[SLOT]); return whether the model has learned from a frame."""
+    ints, sums = state.ints, state.sums
+    n = state.words.shape[1]
+    m = ints[SLOT]
+    if m < n:
+        return False
+    if ints[ALIGNED] >= 0:
+        if m % n != ints[ALIGNED]:
+            return False
+        evidence, taught = _settle(m, state)
+        state.floats[TRUST] = DECAY * state.floats[TRUST] + evidence
+        if state.floats[TRUST] < MISS:
+            ints[ALIGNED] = -1
+            sums[:] = 0.0
+            for earlier in range(max(n, m - 3 * n + 1), m + 1):
+                _search(earlier, state)
+        return taught
+    ints[SEARCHED] += 1
+    _search(m, state)
+    r = m % n
+    for other in range(n):
+        if other != r and sums[other] + LEAD > sums[r]:
+            return False
+    if sums[r] < ALIGN:
+        return False
+    return _align(m, state)
+
+
+@numba.njit(cache=True, nogil=True)
+def _align(m: int, state: State) -> bool:
+    """Take the position of slot m, and decide the frames at it that the search passed over."""
+    n = state.words.shape[1]
+    r = m % n
+    state.ints[ALIGNED] = r
+    state.floats[TRUST] = state.sums[r]
+    taught = False
+    # A frame that the old position has answered for is not counted again.
+    oldest = max(n, m - RING + n + 1, m - state.ints[SEARCHED] - n + 1)
+    for end in range(oldest + (r - oldest) % n, m + 1, n):
+        _, now = _settle(end, state)
+        taught = taught or now
+    state.ints[SEARCHED] = 0
+    return taught
+
+
+@numba.njit(cache=True, nogil=True)
+def _search(m: int, state: State) -> None:
+    n = state.words.shape[1]
+    if _edges(m, state) < 2:
+        return
+    verdict = np.empty(VERDICT_FIELDS)
+    decide(state.ring, m - n, state.words, verdict)
+    state.sums[m % n] = DECAY * state.sums[m % n] + max(verdict[EVIDENCE], MISS)
+
+
+@numba.njit(cache=True, nogil=True)
+def _edges(m: int, state: State) -> int:
+    edges = 0
+    for slot in range(m - state.words.shape[1], m + 1):
+        edges += int(state.facts[slot % RING, EDGE])
+    return edges
+
+
+@numba.njit(cache=True, nogil=True)
+def _record(m: int, code: float, score: float, margin: float, state: State) -> None:
+    record = state.out[state.ints[OUT]]
+    record[OUT_END] = state.facts[m % RING, AT]
+    record[OUT_CODE] = code
+    record[OUT_SCORE] = score
+    record[OUT_MARGIN] = margin
+    record[OUT_SLOT] = m
+    state.ints[OUT] += 1
+
+
+@numba.njit(cache=True, nogil=True)
+def _settle(m: int, state: State) -> tuple[float, bool]:
+    """Publish or refuse the frame that ends at slot m; return its evidence (0 if it says nothing), and if it taught."""
+    n = state.words.shape[1]
+    # Each transmitted frame is published once: after a slip the next one may not overlap the last by half a bit.
+    if state.facts[m % RING, AT] < state.floats[LAST_END] + n - 0.5:
+        return 0.0, False
+    verdict = np.empty(VERDICT_FIELDS)
+    decide(state.ring, m - n, state.words, verdict)
+    evidence = max(verdict[EVIDENCE], MISS)
+    if verdict[SCORE] < ACCEPT:
+        code = _reason(m, state)
+        _record(m, code, verdict[SCORE], verdict[MARGIN], state)
+        return (0.0 if code == OCCLUSION else evidence), False
+    _record(m, verdict[BEST], verdict[SCORE], verdict[MARGIN], state)
+    state.floats[LAST_END] = state.facts[m % RING, AT]
+    if verdict[SCORE] < LEARN:
+        return evidence, False
+    word = state.words[int(verdict[BEST])]
+    for i in range(1, n):
+        response.learn(2 * word[i - 1] + word[i], state.counts[(m - n + i) % RING], state.model, state.seen)
+    return evidence, True
+
+
+@numba.njit(cache=True, nogil=True)
+def _reason(m: int, state: State) -> float:
+    """Return why the frame that ends at slot m is refused."""
+    n = state.words.shape[1]
+    if _edges(m, state) < 2:
+        return float(OCCLUSION)
+    events, outside = 0.0, 0.0
+    for slot in range(m - n, m + 1):
+        events += state.facts[slot % RING, EVENTS]
+        outside += state.facts[slot % RING, OUTSIDE]
+    if outside > 0.5 * events and outside > 2.0 * state.figures[2] * (n + 1) + OFF_GRID_EVENTS:
+        return float(OFF_GRID)
+    word, share = plain_bits(state.ring, m - n, n)
+    if share < 0.5:
+        return float(WEAK)
+    run, here = 1, 1
+    for i in range(1, n):
+        here = here + 1 if (word >> i) & 1 == (word >> (i - 1)) & 1 else 1
+        run = max(run, here)
+    if run > state.ints[RUN]:
+        return float(OCCLUSION)
+    return float(HARD - word)
+
+
+@numba.njit(cache=True, nogil=True)
+def give_up(state: State) -> None:
+    """Refuse the frames of a search that found no alignment, as its best position reads them."""
+    if state.ints[ALIGNED] >= 0:
+        return
+    n = state.words.shape[1]
+    m = state.ints[SLOT]
+    r = int(np.argmax(state.sums))
+    oldest = max(n, m - state.ints[SEARCHED], m - RING + n + 1)
+    verdict = np.empty(VERDICT_FIELDS)
+    for end in range(oldest + (r - oldest) % n, m, n):
+        decide(state.ring, end - n, state.words, verdict)
+        code = _reason(end, state)
+        if verdict[SCORE] >= ACCEPT:
+            word = 0
+            for bit in state.words[int(verdict[BEST])]:
+                word = 2 * word + int(bit)
+            code = float(HARD - word)
+        _record(end, code, 0.0, 0.0, state)

@@ -1,0 +1,260 @@
+"""The default receiver of every cyclic code: one track's events in, frames decided on their own bits out.
+
+It waits for a clock (`heliograph.link.clock`, at every 16 bits of an absolute grid), then takes the
+events of that window again and goes on with `heliograph.link.demodulator`, so a cold start costs no frame. When the
+clock is lost it waits again. No stage knows anything but the events, the nominal bit rate and the words of the code.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from heliograph.errors import Refusal, Refusals
+from heliograph.events import Flags, Times
+from heliograph.link import clock, demodulator, state
+from heliograph.link.acceptance import Acceptance, Place, frames_needed
+from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Text, Verdict
+from heliograph.link.frames import CyclicCode, bits_of, seed11_code
+from heliograph.units import US_PER_S, bit_us
+
+# Fewest bits a window must hold: less than two frames of seed11 cannot be aligned anyway.
+WINDOW_LEAST_BITS: Final = 32
+# Events held while waiting for a clock: 256 bits at 1 kbit/s hold 4 Mev/s in one region, a flicker of the whole image.
+WINDOW_EVENTS: Final = 1_000_000
+
+_SOFT_REFUSALS: Final = {
+    state.WEAK: Refusal.WEAK,
+    state.OCCLUSION: Refusal.OCCLUSION,
+    state.OFF_GRID: Refusal.OFF_GRID,
+}
+
+
+class CyclicReceiver:
+    """Receiver of one track (`heliograph.link.contract.Receiver`).
+
+    Args:
+        code: its words.
+        bit_rate: nominal bits a second; the beacon's own may differ by 2 %.
+        read_periodic: accept words that are plain square waves; otherwise they are refused as PERIODIC.
+    """
+
+    def __init__(self, code: CyclicCode, bit_rate: float, read_periodic: bool = False) -> None:
+        self.refusals: Refusals = Counter()
+        self._code = code
+        self._bit_us = bit_us(bit_rate)
+        self._refused_payloads = dict.fromkeys(code.twins, Refusal.AMBIGUOUS)
+        if not read_periodic:
+            self._refused_payloads |= dict.fromkeys(code.periodic - code.twins.keys(), Refusal.PERIODIC)
+        self._known = frozenset(code.words)
+        self._acceptance = Acceptance(frames_needed(code), code.bits, bit_rate)
+        self._state = state.new_state(code)
+        self._origin_us: int | None = None  # of the lock; None while there is no clock
+        self._locks = 0
+        self._frame_end_us: int | None = None
+        self._until_us: int | None = None
+        self._since_us: int | None = None  # the first event; later, where the last lock was lost
+        self._block = 0  # number of the next block on the absolute grid
+        self._sums = np.zeros((clock.LONG_BLOCKS, 4 * clock.BLOCK_OFFSETS + 1))
+        self._held_t: Times = np.empty(0, np.int64)
+        self._held_on: Flags = np.empty(0, np.bool_)
+        self._recent: deque[tuple[int, bool]] = deque(maxlen=8192)  # (end, accepted) of the last second's frames
+        self._folded = np.zeros((2, clock.SUB))
+        self._found = np.zeros(3)
+
+    def feed(self, t_us: Times, on: Flags, until_us: int) -> list[LinkFrame | Text]:
+        """Take the events before until_us (see the contract)."""
+        if self._until_us is not None and until_us < self._until_us:
+            self.refusals[Refusal.TIME_BACKWARDS] += 1
+            return []
+        if len(t_us) and self._until_us is not None and t_us[0] < self._until_us:
+            self.refusals[Refusal.TIME_BACKWARDS] += 1
+            start = int(np.searchsorted(t_us, self._until_us))
+            t_us, on = t_us[start:], on[start:]
+        self._until_us = until_us
+        out: list[LinkFrame | Text] = []
+        while True:
+            if self._origin_us is None:
+                t_us, on = self._wait(t_us, on, until_us)
+                if self._origin_us is None:
+                    return out
+            t_us, on = self._follow(t_us, on, until_us, out)
+            if self._origin_us is not None:
+                return out
+
+    def flush(self) -> list[LinkFrame | Text]:
+        """Decide the frame that ends within the last bit; the stream has ended."""
+        if self._until_us is None:
+            return []
+        if self._origin_us is None and len(self._held_t):
+            # What is left of the last block counts as a whole one.
+            self._attempt(clock.BLOCK_BITS * self._bit_us)
+        if self._origin_us is None:
+            return []
+        out: list[LinkFrame | Text] = []
+        self._follow(self._held_t, self._held_on, self._until_us + int(self._bit_us) + 1, out)
+        self._held_t, self._held_on = self._held_t[:0], self._held_on[:0]
+        return out
+
+    def identity(self) -> Identity | None:
+        """Return the accepted identity, or None."""
+        return self._acceptance.identity()
+
+    def verdict(self, now_us: int) -> Verdict:
+        """Return what the track is at now_us."""
+        return self._acceptance.verdict(now_us)
+
+    def quality(self, now_us: int) -> LinkQuality:
+        """Return how well the last second was read."""
+        newest = [ok for end_us, ok in self._recent if now_us - US_PER_S < end_us <= now_us]
+        mar = sum(newest) / len(newest) if newest else None
+        if self._origin_us is None or self._state.ints[state.ALIGNED] < 0:
+            return LinkQuality(US_PER_S / self._bit_us, None, None, None, None, mar)
+        period = float(self._state.floats[state.PERIOD])
+        jitter_us = float(np.sqrt(self._state.floats[state.JITTER2])) * self._bit_us
+        burst, background = float(self._state.figures[0]), float(self._state.figures[1])
+        # Energy of a transition over the background in a slot, half an event of which is never excluded.
+        snr_db = 10.0 * float(np.log10(max(burst, 1e-3) / max(background, 0.5)))
+        return LinkQuality(
+            US_PER_S / (self._bit_us * period), snr_db, jitter_us, (1.0 / period - 1.0) * 1e6, burst, mar
+        )
+
+    def _wait(self, t_us: Times, on: Flags, until_us: int) -> tuple[Times, Flags]:
+        """Look for the clock; return the events from the lock's origin on, or none."""
+        if len(t_us):
+            if self._since_us is None:
+                self._since_us = int(t_us[0])
+            self._acceptance.heard(int(t_us[-1]))
+            self._held_t = np.concatenate([self._held_t, t_us])
+            self._held_on = np.concatenate([self._held_on, on])
+        block_us = clock.BLOCK_BITS * self._bit_us
+        while len(self._held_t):
+            # A long dark time is skipped, block by block no further than a window reaches back.
+            if self._block - int(self._held_t[-1] // block_us) > clock.LONG_BLOCKS:
+                self._drop(len(self._held_t))
+                break
+            first = int(self._held_t[0] // block_us)
+            if first >= self._block + clock.LONG_BLOCKS or first < self._block - clock.LONG_BLOCKS:
+                self._block = first
+                self._sums[:] = 0.0
+            if (self._block + 1) * block_us > until_us:
+                break
+            if self._attempt(block_us):
+                held = self._held_t, self._held_on
+                self._drop(len(self._held_t))
+                return held
+        return t_us[:0], on[:0]
+
+    def _drop(self, events: int) -> None:
+        self._held_t, self._held_on = self._held_t[events:], self._held_on[events:]
+
+    def _attempt(self, block_us: float) -> bool:
+        """Take in the next whole block and look for the clock in the windows that end with it."""
+        begin_us, end_us = self._block * block_us, (self._block + 1) * block_us
+        start, stop = (int(i) for i in np.searchsorted(self._held_t, (begin_us, end_us)))
+        self._block += 1
+        self._sums[:-1] = self._sums[1:]
+        t: clock.Floats = np.asarray((self._held_t[start:stop] - begin_us) / self._bit_us, np.float64)
+        clock.block(t, self._held_on[start:stop], self._sums[-1])
+        since_us = self._since_us or 0
+        if stop > start and end_us - since_us >= WINDOW_LEAST_BITS * self._bit_us:
+            for blocks, threshold in (
+                (clock.SHORT_BLOCKS, clock.THRESHOLD_SHORT),
+                (clock.LONG_BLOCKS, clock.THRESHOLD_LONG),
+            ):
+                f, z = clock.peak(self._sums[-blocks:])
+                if z >= threshold:
+                    return self._lock(f, end_us - blocks * block_us, end_us)
+            # Once for a short window's length, so that a light that needs a long one is not given up before.
+            if end_us - since_us >= clock.SHORT_BLOCKS * block_us and self._block % clock.SHORT_BLOCKS == 0:
+                self.refusals[Refusal.NO_CLOCK] += 1
+                self._acceptance.refuse()
+        keep_us = end_us - (clock.LONG_BLOCKS - 1) * block_us
+        self._drop(max(int(np.searchsorted(self._held_t, keep_us)), stop - WINDOW_EVENTS))
+        return False
+
+    def _lock(self, f: float, begin_us: float, end_us: float) -> bool:
+        """Begin with a clock found in a window; the events before it are dropped."""
+        origin_us = int(np.floor(begin_us))
+        self._drop(int(np.searchsorted(self._held_t, begin_us)))
+        stop = int(np.searchsorted(self._held_t, end_us))
+        t = (self._held_t[:stop] - origin_us) / self._bit_us
+        clock.grid(t, self._held_on[:stop], f, (end_us - origin_us) / self._bit_us, self._found, self._folded)
+        last = -1e9 if self._frame_end_us is None else (self._frame_end_us - origin_us) / self._bit_us
+        state.start(self._state, self._folded, self._found, last, self._code.longest_run)
+        self._origin_us = origin_us
+        self._locks += 1
+        return True
+
+    def _follow(self, t_us: Times, on: Flags, until_us: int, out: list[LinkFrame | Text]) -> tuple[Times, Flags]:
+        """Demodulate; return the events that are left when the clock is lost."""
+        origin_us = self._origin_us
+        if origin_us is None:
+            return t_us, on
+        t = (t_us - origin_us) / self._bit_us
+        until = (until_us - origin_us) / self._bit_us
+        done = 0
+        while True:
+            outcome, taken = demodulator.advance(t[done:], on[done:], until, self._state)
+            done += taken
+            self._settle(origin_us, out)
+            if outcome == demodulator.DONE:
+                break
+            if outcome == demodulator.LOST:
+                # From here on the search begins anew, with what the lost lock has not taken.
+                lost = self._state.floats[state.BOUNDARY] - 0.5 * self._state.floats[state.PERIOD]
+                self._since_us = origin_us + int(np.ceil(lost * self._bit_us))
+                self._origin_us = None
+                self._block = int(self._since_us // (clock.BLOCK_BITS * self._bit_us))
+                self._sums[:] = 0.0
+                break
+        return t_us[done:], on[done:]
+
+    def _settle(self, origin_us: int, out: list[LinkFrame | Text]) -> None:
+        """Turn the demodulator's records into frames and refusals."""
+        floats, ints = self._state.floats, self._state.ints
+        heard = float(floats[state.BOUNDARY]) - (int(ints[state.SILENT]) + 1) * float(floats[state.PERIOD])
+        self._acceptance.heard(origin_us + round(heard * self._bit_us))
+        for record in self._state.out[: ints[state.OUT]].tolist():
+            end, code, score, margin, slot = record
+            end_us = origin_us + round(end * self._bit_us)
+            reason = self._reason(int(code))
+            self._recent.append((end_us, reason is None))
+            if reason is not None:
+                self.refusals[reason] += 1
+                if reason is not Refusal.OCCLUSION:
+                    self._acceptance.refuse()
+                continue
+            frame = LinkFrame(end_us, int(code), min(score, 1.0), margin)
+            self._frame_end_us = end_us
+            if self._acceptance.frame(frame, Place(self._locks, int(slot))):
+                self.refusals[Refusal.PAYLOAD_CHANGED] += 1
+            out.append(frame)
+        ints[state.OUT] = 0
+
+    def _reason(self, code: int) -> Refusal | None:
+        if code >= 0:
+            return self._refused_payloads.get(code)
+        if code > state.HARD:
+            return _SOFT_REFUSALS[code]
+        word = state.HARD - code
+        if word not in self._known:
+            return self._code.hard_refusal(word)
+        # Read clearly, but not at a position of its own: as two payloads, or as one that will not stay in its place.
+        return self._refused_payloads.get(self._code.words.index(word), Refusal.WEAK)
+
+
+def warm() -> None:
+    """Compile (or load from the cache) all kernels: a few synthetic frames through a receiver."""
+    code = seed11_code()
+    bits: list[int] = [bit for _ in range(12) for bit in bits_of(code.words[42], code.bits)]
+    levels = np.array([0, *bits, 0])
+    edges = np.flatnonzero(np.diff(levels))
+    t_us: npt.NDArray[np.int64] = np.repeat(edges * 1000, 4)
+    on: npt.NDArray[np.bool_] = np.repeat(np.diff(levels)[edges] > 0, 4)
+    receiver = CyclicReceiver(code, 1000.0)
+    receiver.feed(t_us, on, 140_000)
+    receiver.flush()

@@ -1,0 +1,116 @@
+"""What a transition looks like: event rates around a bit boundary, learned from the receiver's own decisions.
+
+A *slot* is the bit-long interval centred on a boundary b_m, cut into 16 sub-bins k. Its events are Poisson with rates
+that depend on the LED's levels before and after the boundary, x = 2 before + after (0 dark, 1 rise, 2 fall, 3 lit)::
+
+    n_p[k] ~ Poisson(rate[x, p, k])        p = 0 OFF, 1 ON
+    log L_x = sum_p,k n_p[k] log rate[x, p, k] - sum_p,k rate[x, p, k]
+
+So one table holds the step response of each polarity with its delay and tail, the background, and what a lit LED does
+when it moves while a dark one is silent. At lock the table comes from the folded window (`heliograph.link.clock`); then
+each slot of an accepted frame moves its row by 1 / (16 + n), at least 1/256, towards what was seen.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from heliograph.link.clock import SUB, Floats
+
+DARK: Final = 0
+RISE: Final = 1
+FALL: Final = 2
+LIT: Final = 3
+# A code's word of n bits rises in about a quarter of its slots; only the start of learning depends on it.
+RISES_A_SLOT: Final = 0.25
+# Weight of the table at lock, in slots, and the longest memory: 256 slots are 15 to 25 frames.
+PRIOR_SLOTS: Final = 16
+MEMORY_SLOTS: Final = 256
+# No bin is ever held to be free of stray events: two hundredths of a transition's events are spread over each slot,
+# and one event in 50 slots comes from nowhere. Less, and a single stray event outweighs a missing transition.
+STRAY_SHARE: Final = 0.02
+STRAY_EVENTS: Final = 0.02
+# A bin belongs to the response where the rate is this many times the background.
+CORE_RATIO: Final = 3.0
+
+
+@numba.njit(cache=True, nogil=True)
+def start(folded: Floats, rate: Floats, seen: npt.NDArray[np.int64]) -> None:
+    """Set rate (4, 2, SUB) from the folded window (2, SUB), and seen (4,) to zero."""
+    seen[:] = 0
+    for p in range(2):
+        row = np.sort(folded[p])
+        background = np.mean(row[: SUB // 2])
+        for k in range(SUB):
+            before, after = folded[p, max(k - 1, 0)], folded[p, min(k + 1, SUB - 1)]
+            signal = max(0.25 * before + 0.5 * folded[p, k] + 0.25 * after - background, 0.0)
+            for x in range(4):
+                rate[x, p, k] = background
+            rate[RISE if p == 1 else FALL, p, k] += signal / RISES_A_SLOT
+
+
+@numba.njit(cache=True, nogil=True)
+def learn(x: int, counts: npt.NDArray[np.int32], rate: Floats, seen: npt.NDArray[np.int64]) -> None:
+    """Move the rates of x towards the counts (2, SUB) of one slot."""
+    share = max(1.0 / (PRIOR_SLOTS + seen[x]), 1.0 / MEMORY_SLOTS)
+    seen[x] += 1
+    for p in range(2):
+        for k in range(SUB):
+            rate[x, p, k] += share * (counts[p, k] - rate[x, p, k])
+
+
+@numba.njit(cache=True, nogil=True)
+def tabulate(rate: Floats, logs: Floats, total: Floats, core: npt.NDArray[np.bool_], figures: Floats) -> None:
+    """Set what the likelihood needs from the rates.
+
+    Args:
+        rate: (4, 2, SUB).
+        logs: (4, 2, SUB) out: log of the rates, stray events included.
+        total: (4,) out: events expected in a slot.
+        core: (2, SUB) out: where a transition's events are expected.
+        figures: (3,) out: events a transition, background events a slot, events expected outside `core` a slot.
+    """
+    background = 0.0
+    burst = 0.0
+    for p in range(2):
+        edge = RISE if p == 1 else FALL
+        for k in range(SUB):
+            quiet = 0.5 * (rate[DARK, p, k] + rate[LIT, p, k])
+            background += quiet
+            burst += 0.5 * max(rate[edge, p, k] - quiet, 0.0)
+    stray = (STRAY_SHARE * burst + STRAY_EVENTS) / (2 * SUB)
+    outside = 0.0
+    for x in range(4):
+        total[x] = 0.0
+        for p in range(2):
+            for k in range(SUB):
+                full = rate[x, p, k] + stray
+                logs[x, p, k] = np.log(full)
+                total[x] += full
+    for p in range(2):
+        edge = RISE if p == 1 else FALL
+        for k in range(SUB):
+            quiet = 0.5 * (rate[DARK, p, k] + rate[LIT, p, k]) + stray
+            core[p, k] = rate[edge, p, k] + stray > CORE_RATIO * quiet
+            if not core[p, k]:
+                outside += max(quiet, 0.25 * rate[edge, p, k])
+    figures[0] = burst
+    figures[1] = background
+    figures[2] = outside
+
+
+@numba.njit(cache=True, nogil=True)
+def loglikelihoods(counts: npt.NDArray[np.int32], logs: Floats, total: Floats, out: Floats) -> None:
+    """Set out (4,) to log L_x of one slot's counts (2, SUB), up to a constant."""
+    for x in range(4):
+        out[x] = -total[x]
+    for p in range(2):
+        for k in range(SUB):
+            n = counts[p, k]
+            if n:
+                for x in range(4):
+                    out[x] += n * logs[x, p, k]

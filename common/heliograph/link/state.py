@@ -1,0 +1,142 @@
+"""The state of one track's demodulator: arrays in one tuple, shared by the compiled stages.
+
+Times in it are in nominal bits since the lock's origin. The open slot is number `ints[SLOT]`; slot m lives at m % RING.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from heliograph.link import response
+from heliograph.link.clock import SUB, Floats
+from heliograph.link.frames import CyclicCode, bits_of
+
+Ints = npt.NDArray[np.int64]
+
+# Slots remembered: ten frames of the longest word (32 bits), what a search of eight frames looks back on.
+RING: Final = 320
+
+# Places in `floats`.
+BOUNDARY: Final = 0  # b_m of the open slot
+PERIOD: Final = 1  # T
+HALF: Final = 2  # mu_on = -mu_off
+JITTER2: Final = 3  # mean square of the timing error e
+LAST_END: Final = 4  # end of the last published frame
+TRUST: Final = 5  # A of the aligned position
+FLOATS: Final = 6
+
+# Places in `ints`.
+SLOT: Final = 0  # slots closed since the lock
+ALIGNED: Final = 1  # position of the frames, or -1
+SEARCHED: Final = 2  # slots since the search began; 0 when aligned
+SILENT: Final = 3  # slots since the last transition
+OUT: Final = 4  # records in `out`
+EDGES: Final = 5  # transitions since the lock
+RUN: Final = 6  # longest legal run
+INTS: Final = 7
+
+# Columns of `facts`.
+AT: Final = 0  # the boundary b_m
+EDGE: Final = 1  # 1 where a transition was seen
+EVENTS: Final = 2
+OUTSIDE: Final = 3  # events where no transition's are expected
+FACTS: Final = 4
+
+# Columns of a record in `out`.
+OUT_END: Final = 0  # end of the frame
+OUT_CODE: Final = 1  # payload, or why it was refused
+OUT_SCORE: Final = 2
+OUT_MARGIN: Final = 3
+OUT_SLOT: Final = 4  # the slot at its end, counted from the lock
+OUT_FIELDS: Final = 5
+# One slot publishes at most RING / 4 frames at once; the kernel returns to be emptied from OUT_FULL on.
+OUT_ROOM: Final = 256
+OUT_FULL: Final = 128
+
+# Codes below 0; from HARD downwards the bits themselves: HARD - word.
+WEAK: Final = -1
+OCCLUSION: Final = -2
+OFF_GRID: Final = -3
+HARD: Final = -10
+
+
+class State(NamedTuple):
+    """Arrays that the kernels change in place.
+
+    Args:
+        words: (W, n) uint8, the code.
+        floats: (FLOATS,).
+        ints: (INTS,).
+        ring: (RING, 4) tempered likelihoods of the slots (`heliograph.link.likelihood`).
+        facts: (RING, FACTS).
+        counts: (RING, 2, SUB) events of the slots, by polarity (OFF, ON) and sub-bin.
+        moments: (2, 2) events and summed offsets of the open slot, by polarity.
+        sums: (n,) A_r of the search (`heliograph.link.alignment`).
+        model: (4, 2, SUB) rates (`heliograph.link.response`).
+        seen: (4,) slots learned of each kind.
+        logs: (4, 2, SUB), total: (4,), core: (2, SUB), figures: (3,) what `response.tabulate` makes of the model.
+        out: (OUT_ROOM, OUT_FIELDS) records.
+    """
+
+    words: npt.NDArray[np.uint8]
+    floats: Floats
+    ints: Ints
+    ring: Floats
+    facts: Floats
+    counts: npt.NDArray[np.int32]
+    moments: Floats
+    sums: Floats
+    model: Floats
+    seen: Ints
+    logs: Floats
+    total: Floats
+    core: npt.NDArray[np.bool_]
+    figures: Floats
+    out: Floats
+
+
+def new_state(code: CyclicCode) -> State:
+    """Return the state of a track that has no clock yet (55 kB)."""
+    return State(
+        words=np.array([bits_of(word, code.bits) for word in code.words], np.uint8),
+        floats=np.zeros(FLOATS),
+        ints=np.zeros(INTS, np.int64),
+        ring=np.ones((RING, 4)),
+        facts=np.zeros((RING, FACTS)),
+        counts=np.zeros((RING, 2, SUB), np.int32),
+        moments=np.zeros((2, 2)),
+        sums=np.zeros(code.bits),
+        model=np.zeros((4, 2, SUB)),
+        seen=np.zeros(4, np.int64),
+        logs=np.zeros((4, 2, SUB)),
+        total=np.zeros(4),
+        core=np.zeros((2, SUB), np.bool_),
+        figures=np.zeros(3),
+        out=np.zeros((OUT_ROOM, OUT_FIELDS)),
+    )
+
+
+def start(state: State, folded: Floats, found: Floats, last_end: float, longest_run: int) -> None:
+    """Begin with a new lock.
+
+    Args:
+        state: to be set.
+        folded: (2, SUB) and
+        found: (3,) of `heliograph.link.clock.grid`.
+        last_end: end of the last published frame, in bits from the new origin.
+        longest_run: longest legal run of the code.
+    """
+    state.floats[:] = (found[0], found[1], found[2], 0.0, last_end, 0.0)
+    state.ints[:] = 0
+    state.ints[ALIGNED] = -1
+    state.ints[RUN] = longest_run
+    state.ring[:] = 1.0
+    state.facts[:] = 0.0
+    state.counts[:] = 0
+    state.moments[:] = 0.0
+    state.sums[:] = 0.0
+    response.start(folded, state.model, state.seen)
+    response.tabulate(state.model, state.logs, state.total, state.core, state.figures)
