@@ -1,6 +1,6 @@
 """Synthetic blinking discs for the decoder's tests, and a modulation simple enough to be decided by hand.
 
-The modulation `pulse`: each frame of `FRAME_US` begins with the LED on; it goes off `SLOT_US` x (payload + 1) later. Its
+The modulation `pulse`: each frame of `FRAME_US` begins with the LED on; it goes off `SLOT_US` x (payload + 1) later. A
 receiver decides a frame at each change from on to off; three equal ones in a row are an identity.
 """
 

@@ -14,7 +14,8 @@ import numpy as np
 
 from heliograph.errors import Refusals
 from heliograph.events import EventBatch, Flags, Times
-from heliograph_services.decoder.regions import NEVER, Place, Regions
+from heliograph_services.decoder.regions import Place, Regions
+from heliograph_services.decoder.routing import NEVER
 
 
 @dataclass(frozen=True, slots=True, eq=False)

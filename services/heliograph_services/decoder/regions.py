@@ -18,13 +18,12 @@ import numpy as np
 from heliograph.errors import Refusal, Refusals
 from heliograph.events import EventBatch, Flags, Times
 from heliograph_services.decoder import routing
-from heliograph_services.decoder.routing import PLACE_LIMIT_PX, SPEED_LIMIT_PX_S, US_PER_S
+from heliograph_services.decoder.routing import NEVER, PLACE_LIMIT_PX, SPEED_LIMIT_PX_S, US_PER_S
 
 # Even a well centred region yields a twentieth to the tracker at 10 Hz: it forgets a wrong centre within 2 s.
 LEAST_WEIGHT: Final = 0.05
 # Half the say after 50 ms without own events: a code of 50 bit/s is silent for up to 200 ms.
 TRUST_US: Final = 50_000.0
-NEVER: Final = -(2**62)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,11 +69,12 @@ def _within(value: float, limit: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Routed:
-    """The events of a window by track: those of track i are [starts[i], starts[i + 1])."""
+    """The events of a window by track: those of track i are [starts[i], starts[i + 1]); residuals likewise."""
 
     starts: routing.Ints
     t_us: Times
     on: Flags
+    residual_starts: routing.Ints
     dx_px: routing.Residuals
     dy_px: routing.Residuals
     outside: int
@@ -103,6 +103,7 @@ class Regions:
         self._pixels = width * height
         self._step_us = step_us
         self._labels = np.zeros((height, width), np.uint16)
+        self._seen = np.zeros((height, width), np.uint8)
         self._painted = np.zeros((3, capacity), np.float64)
         self._n_painted = 0
         self._state = np.zeros((5, capacity), np.float64)
@@ -154,14 +155,16 @@ class Regions:
         hits, paintings, off = routing.gather(
             batch.t_us, batch.x_px, batch.y_px, self.now_us, self._step_us, steps,
             self._labels, self._painted, self._n_painted, self._state, self.n, hit, label, dx, dy,
+            self._seen,
         )  # fmt: skip
         if paintings:
             self._n_painted = self.n
             self.repaintings += paintings
         if off:
             refusals[Refusal.OFF_SENSOR] += off
-        starts, t_us, on, dx, dy = routing.sort_by_track(batch.t_us, batch.on, self.n, hits, hit, label, dx, dy)
-        return Routed(starts, t_us, on, dx, dy, m - hits - off)
+        starts, t_us, on = routing.sort_by_track(batch.t_us, batch.on, self.n, hits, hit, label)
+        residual_starts, dx, dy = routing.residuals_by_track(self.n, hits, label, dx, dy)
+        return Routed(starts, t_us, on, residual_starts, dx, dy, m - hits - off)
 
     def follow(self, routed: Routed, window_us: int) -> None:
         """Move on by a window and centre each region on the events that it heard in it; back where negative."""
@@ -172,7 +175,7 @@ class Regions:
         covered = float(np.sum(np.square(self._state[4, : self.n]))) * np.pi
         noise_per_px = routed.outside / max(self._pixels - covered, 0.1 * self._pixels)
         routing.recentre(
-            routed.starts, routed.dx_px, routed.dy_px, self._state, self._centred_us, self.n,
+            routed.residual_starts, routed.dx_px, routed.dy_px, self._state, self._centred_us, self.n,
             noise_per_px, self.now_us, window_us, self._counts,
         )  # fmt: skip
         np.clip(self._state[2:4, : self.n], -SPEED_LIMIT_PX_S, SPEED_LIMIT_PX_S, out=self._state[2:4, : self.n])

@@ -8,14 +8,16 @@ It is repainted at the first step with events in which a centre has moved by a p
 costs the pixels of the regions, old and new, never those of the sensor. A window of events is routed in two passes:
 look up and gather the few that fall into a region, then a counting sort into one run a track, which keeps their order.
 
-Self-centring, once a window of T: with d the residuals (event minus centre at its step) of the track's n events, and e
-the number that the surrounding noise explains, an alpha-beta filter ::
+Self-centring, once a window: with d the residuals (event minus centre at its step) of the track's n events, e the
+number that the surrounding noise explains, and h the time since the last correction, a fading-memory filter (critically
+damped: its time constant 1 / omega does not depend on how often an LED blinks) ::
 
-    d' = trimmed mean of d,  g = (n - e) / (n + n0),  c += alpha g d',  v += beta g d' / T
+    theta = exp(-omega min(h, h_max)),  g = (n - e) / (n + n0)
+    c += (1 - theta^2) g mean(d),  v += (1 - theta)^2 g mean(d) / h
 
-runs where n >= n_min and n >= 2 e + 3 sqrt(e). The mean is trimmed by a fifth at both ends of each axis, so that a hot
-pixel or a neighbour's edge cannot pull, while the two crescents of a moving lit disc still balance (a median would jump
-from one to the other). T is negative where the filter runs back in time.
+runs where n >= n_min and n >= 2 e + 3 sqrt(e). A pixel counts at most `PIXEL_LIMIT` times a window, so that a hot one
+cannot pull; the mean is trimmed by a fifth at both ends of each axis, so that a neighbour's edge cannot, while the two
+crescents of a moving lit disc still balance (a median would jump from one to the other). Backwards h is negative.
 """
 
 from __future__ import annotations
@@ -35,12 +37,14 @@ Residuals = npt.NDArray[np.float32]
 Labels = npt.NDArray[np.uint16]
 Ints = npt.NDArray[np.int64]
 
-# Critically damped at about 30 rad/s for windows of 5 ms: lags 0.9 px at 1000 px/s2, and turns 0.3 px of centroid
-# noise into 1.7 px/s of velocity noise. Faster gains follow noise, slower ones lose the target in a curve.
-ALPHA: Final = 0.3
-BETA: Final = 0.02
-# Fewer events say nothing: the edge of a 3 px disc makes about 30.
-MIN_EVENTS: Final = 8
+# 30 rad/s: lags a / omega^2 = 1.1 px at 1000 px/s2, and turns 0.3 px of centroid noise into 2 px/s of velocity noise.
+# A faster filter follows noise, a slower one loses its target in a curve.
+OMEGA_PER_S: Final = 30.0
+# A single window after a long silence counts at most .78: it may be a passing edge.
+GAP_LIMIT_S: Final = 0.025
+# Fewer events say nothing: three pixels that fire twice. The edge of a 3 px disc makes about 30.
+MIN_EVENTS: Final = 6
+PIXEL_LIMIT: Final = 2
 TRIM: Final = 0.2
 # A quarter of a pixel: below the centroid's own noise.
 BINS_PER_PX: Final = 4
@@ -51,6 +55,9 @@ PLACE_LIMIT_PX: Final = 16_384.0
 # 0.1 m of an LED passing 0.1 m before a 400 px lens at 10 m/s: nothing seen moves faster.
 SPEED_LIMIT_PX_S: Final = 40_000.0
 US_PER_S: Final = 1e6
+# Of a time: not yet.
+NEVER: Final = -(2**62)
+PAUSE_LIMIT_US: Final = 1_000_000
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -127,6 +134,7 @@ def gather(
     hit_label: Labels,
     hit_dx: Residuals,
     hit_dy: Residuals,
+    seen: npt.NDArray[np.uint8],
 ) -> tuple[int, int, int]:
     """Look up every event of the window; return (hits, repaintings, events off the sensor).
 
@@ -144,8 +152,9 @@ def gather(
         n: how many tracks.
         hit: (m,) scratch: indices of the events that fell into a region.
         hit_label: (m,) scratch: their label.
-        hit_dx: (m,) scratch: their distance from the track's centre at their step.
+        hit_dx: (m,) scratch: their distance from the track's centre at their step; NaN beyond the pixel's limit.
         hit_dy: (m,) scratch.
+        seen: (height, width), zeros before and after.
     """
     height, width = labels.shape
     cx = np.empty(n, np.float64)
@@ -176,24 +185,19 @@ def gather(
             if label != 0:
                 hit[hits] = j
                 hit_label[hits] = label
-                hit_dx[hits] = x - cx[label - 1]
+                fresh = seen[y, x] < PIXEL_LIMIT
+                seen[y, x] += fresh
+                hit_dx[hits] = x - cx[label - 1] if fresh else np.nan
                 hit_dy[hits] = y - cy[label - 1]
                 hits += 1
+    for j in range(hits):
+        seen[y_px[hit[j]], x_px[hit[j]]] = 0
     return hits, paintings, off
 
 
 @kernel
-def sort_by_track(
-    t_us: Times,
-    on: Flags,
-    n: int,
-    hits: int,
-    hit: Ints,
-    hit_label: Labels,
-    hit_dx: Residuals,
-    hit_dy: Residuals,
-) -> tuple[Ints, Times, Flags, Residuals, Residuals]:
-    """Return (starts, t_us, on, dx, dy): the hits of track i are [starts[i], starts[i + 1]), in their order."""
+def sort_by_track(t_us: Times, on: Flags, n: int, hits: int, hit: Ints, hit_label: Labels) -> tuple[Ints, Times, Flags]:
+    """Return (starts, t_us, on): the hits of track i are [starts[i], starts[i + 1]), in their order."""
     starts = np.zeros(n + 1, np.int64)
     for j in range(hits):
         starts[hit_label[j]] += 1
@@ -202,17 +206,34 @@ def sort_by_track(
     at = starts[:n].copy()
     times = np.empty(hits, np.int64)
     levels = np.empty(hits, np.bool_)
-    dx = np.empty(hits, np.float32)
-    dy = np.empty(hits, np.float32)
     for j in range(hits):
         i = hit_label[j] - 1
-        k = at[i]
-        at[i] = k + 1
-        times[k] = t_us[hit[j]]
-        levels[k] = on[hit[j]]
-        dx[k] = hit_dx[j]
-        dy[k] = hit_dy[j]
-    return starts, times, levels, dx, dy
+        times[at[i]] = t_us[hit[j]]
+        levels[at[i]] = on[hit[j]]
+        at[i] += 1
+    return starts, times, levels
+
+
+@kernel
+def residuals_by_track(
+    n: int, hits: int, hit_label: Labels, hit_dx: Residuals, hit_dy: Residuals
+) -> tuple[Ints, Residuals, Residuals]:
+    """Return (starts, dx, dy) likewise, without the events beyond their pixel's limit."""
+    starts = np.zeros(n + 1, np.int64)
+    for j in range(hits):
+        starts[hit_label[j]] += not math.isnan(hit_dx[j])
+    for i in range(n):
+        starts[i + 1] += starts[i]
+    at = starts[:n].copy()
+    dx = np.empty(starts[n], np.float32)
+    dy = np.empty(starts[n], np.float32)
+    for j in range(hits):
+        if not math.isnan(hit_dx[j]):
+            i = hit_label[j] - 1
+            dx[at[i]] = hit_dx[j]
+            dy[at[i]] = hit_dy[j]
+            at[i] += 1
+    return starts, dx, dy
 
 
 @kernel
@@ -258,7 +279,7 @@ def recentre(
     """Run the filter of the module's head over all tracks; return how many had enough events.
 
     Args:
-        starts: as `sort_by_track` returns.
+        starts: as `residuals_by_track` returns.
         dx: (hits,) px.
         dy: (hits,) px.
         state: (5, capacity), as of now_us; corrected in place.
@@ -278,12 +299,18 @@ def recentre(
         if events < MIN_EVENTS or events < 2.0 * noise + 3.0 * math.sqrt(noise):
             continue
         gain = (events - noise) / (events + MIN_EVENTS)
-        rx = trimmed_mean(dx[first:behind], reach, counts)
-        ry = trimmed_mean(dy[first:behind], reach, counts)
-        state[0, i] += ALPHA * gain * rx
-        state[1, i] += ALPHA * gain * ry
-        state[2, i] += BETA * gain * rx * US_PER_S / window_us
-        state[3, i] += BETA * gain * ry * US_PER_S / window_us
+        rx = gain * trimmed_mean(dx[first:behind], reach, counts)
+        ry = gain * trimmed_mean(dy[first:behind], reach, counts)
+        # A region that was never centred is as if it had been so a window ago; a longer pause counts as the longest.
+        gap_us = min(max(abs(now_us - centred_us[i]), abs(window_us)), PAUSE_LIMIT_US)
+        if centred_us[i] == NEVER:
+            gap_us = abs(window_us)
+        theta = math.exp(-OMEGA_PER_S * min(gap_us / US_PER_S, GAP_LIMIT_S))
+        gap_s = math.copysign(gap_us / US_PER_S, window_us)
+        state[0, i] += (1.0 - theta * theta) * rx
+        state[1, i] += (1.0 - theta * theta) * ry
+        state[2, i] += (1.0 - theta) * (1.0 - theta) * rx / gap_s
+        state[3, i] += (1.0 - theta) * (1.0 - theta) * ry / gap_s
         centred_us[i] = now_us
         centred += 1
     return centred
