@@ -118,12 +118,19 @@ class OnsetCounter:
         # The open gate asks for one event, which every entry has.
         min_events = s.min_events if s.gate == "active" else 1
         kept, gated, flooded, off_sensor = _count(
-            batch.t_us, batch.x_px, batch.y_px, batch.on, t0_us, s.tick_us, self._column, self._row, self._stride,
+            _read_only(batch.t_us), _read_only(batch.x_px), _read_only(batch.y_px), _read_only(batch.on), t0_us, s.tick_us, self._column, self._row, self._stride,
             min_events, self._counts, self._marks, _BIT_PLACE, tick, x_px, y_px, on_count, off_count,
         )  # fmt: skip
         return OnsetColumns(
             tick[:kept], x_px[:kept], y_px[:kept], on_count[:kept], off_count[:kept], gated, flooded, off_sensor
         )
+
+
+def _read_only(column: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return a view that cannot be written: numba compiles anew for each mixture of writable and read-only columns."""
+    view = column.view()
+    view.flags.writeable = False
+    return view
 
 
 @numba.njit(cache=True, nogil=True)
