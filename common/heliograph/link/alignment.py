@@ -60,6 +60,8 @@ ACCEPT: Final = 0.5
 LEARN: Final = 0.9
 # Of a frame's events, more outside the transitions' place than inside, and this many: light on another grid.
 OFF_GRID_EVENTS: Final = 8
+# Every word has a rise and a fall.
+EDGES_LEAST: Final = 1.5
 
 
 @numba.njit(cache=True, nogil=True)
@@ -112,7 +114,7 @@ def _align(m: int, state: State) -> bool:
 @numba.njit(cache=True, nogil=True)
 def _search(m: int, state: State) -> None:
     n = state.words.shape[1]
-    if _edges(m, state) < 2:
+    if _dark(m, state):
         return
     verdict = np.empty(VERDICT_FIELDS)
     decide(state.ring, m - n, state.words, verdict)
@@ -120,11 +122,12 @@ def _search(m: int, state: State) -> None:
 
 
 @numba.njit(cache=True, nogil=True)
-def _edges(m: int, state: State) -> int:
-    edges = 0
+def _dark(m: int, state: State) -> bool:
+    """Return whether the frame that ends at slot m shows fewer transitions than any word has: the light is hidden."""
+    edges = 0.0
     for slot in range(m - state.words.shape[1], m + 1):
-        edges += int(state.facts[slot % RING, EDGE])
-    return edges
+        edges += state.facts[slot % RING, EDGE]
+    return edges < EDGES_LEAST
 
 
 @numba.njit(cache=True, nogil=True)
@@ -166,7 +169,7 @@ def _settle(m: int, state: State) -> tuple[float, bool]:
 def _reason(m: int, state: State) -> float:
     """Return why the frame that ends at slot m is refused."""
     n = state.words.shape[1]
-    if _edges(m, state) < 2:
+    if _dark(m, state):
         return float(OCCLUSION)
     events, outside = 0.0, 0.0
     for slot in range(m - n, m + 1):

@@ -31,7 +31,7 @@ CHANGES_LEAST: Final = 24
 # Candidates lie this far apart, as a share: a tenth of a turn at the longest run of 10 bits.
 RESOLUTION: Final = 0.005
 COHERENT: Final = 0.5
-# A window of lone events, as a share of the shortest candidate bit, in which opposite events cancel.
+# Intervals this near to their median, as a share, are the same: a lamp's flicker keeps 1 %, jitter adds the rest.
 PERIODIC_SPREAD: Final = 0.06
 
 
@@ -64,8 +64,10 @@ def _intervals(t_us: Times, on: Flags, least_us: float) -> Floats:
         return np.empty(0)
     first = np.flatnonzero(np.concatenate([np.ones(1, np.bool_), on[1:] != on[:-1]]))
     size = np.diff(np.concatenate([first, [len(on)]]))
-    # Lone events between bursts are noise, or motion: a burst counts when it has a third of the usual size.
-    usual = float(np.percentile(size, 75))
+    # Lone events between bursts are noise, or motion: a burst counts when it has a third of the usual size, which is
+    # that of the burst to which half of all *events* belong, however many lone ones there are.
+    largest = np.sort(size)[::-1]
+    usual = float(largest[np.searchsorted(np.cumsum(largest), 0.5 * len(on))])
     strong = first[size >= max(1.0, usual / 3.0)]
     polarity = on[strong]
     change = np.concatenate([np.ones(1, np.bool_), polarity[1:] != polarity[:-1]])

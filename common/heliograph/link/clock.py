@@ -6,16 +6,17 @@ change with f, so five of them serve all offsets, and a window's periodogram cos
 
     S_p(b, f) = sum_i in b c_p[i] exp(-2 pi j f (i / 16 - centre_b))      f in bits a nominal bit, 1 +- 0.025
     R_p(f)    = sum_b exp(-2 pi j f centre_b) S_p(b, nearest of five f)
-    z(f)      = (|R_on|^2 + |R_off|^2) / sum_p,i c_p[i]^2                 noise: exp(-z) (1 + z)
+    z(f)      = (|R_on|^2 + |R_off|^2) / sum_p,i (c_p[i] - mean c_p)^2    noise: exp(-z) (1 + z)
 
 Windows of 64 bits, and of 256 where 64 do not suffice (jitter, noise); f is the peak of z, refined by a parabola. NRZ
 bits have a spectral null at the bit rate, so what a *lit* LED does while it moves does not disturb; the edges alone
 stand out. The phases of R_on and R_off give the delay of each polarity; the bit grid goes midway between them.
 
-Tracking. After a slot with a transition, e = (mean time of its events) - b - mu_p (mu_on = -mu_off: half the difference
-of the polarities' delays, learned), then::
+Tracking. After a slot with a transition of polarity p, whose events n[k] lie at offsets x_k from the boundary and are
+the transition's own with probability q_p[k] (learned, `heliograph.link.response`)::
 
-    b <- b + T + alpha e        T <- T + alpha^2 / 4 e        (damping 1)
+    e = sum_k (n[k] - B_p[k]) q_p[k] x_k / sum_k (n[k] - B_p[k]) q_p[k] - mu_p        B: background, learned
+    b <- b + T + alpha e        T <- T + alpha^2 / 4 e        damping 1; mu_on = -mu_off: half the polarities' delay
 """
 
 from __future__ import annotations
@@ -70,6 +71,8 @@ def block(t: Floats, on: npt.NDArray[np.bool_], sums: Floats) -> None:
     for i in range(len(t)):
         counts[1 if on[i] else 0, max(0, min(int(t[i] * SUB), cells - 1))] += 1.0
     sums[:] = 0.0
+    all_off, all_lit = counts[0].sum(), counts[1].sum()
+    sums[4 * BLOCK_OFFSETS] = -(all_off * all_off + all_lit * all_lit) / cells
     for cell in range(cells):
         off, lit = counts[0, cell], counts[1, cell]
         if off + lit == 0.0:
@@ -98,7 +101,7 @@ def peak(sums: Floats) -> tuple[float, float]:
         power += sums[b, 4 * BLOCK_OFFSETS]
     steps = STEPS_PER_BLOCK * blocks + 1
     z = np.zeros(steps)
-    if power == 0.0:
+    if power <= 0.0:
         return 1.0, 0.0
     for s in range(steps):
         offset = 2.0 * s / (steps - 1) - 1.0
@@ -136,7 +139,8 @@ def grid(t: Floats, on: npt.NDArray[np.bool_], f: float, until: float, found: Fl
         on: (n,) polarities.
         f: bits a nominal bit.
         until: end of the window.
-        found: (3,) out: the boundary before the first event, the period (nominal bits), half the delay ON - OFF (bits).
+        found: (4,) out: the boundary before the first event, the period (nominal bits), half the delay ON - OFF (bits),
+            and the slots folded.
         folded: (2, SUB) out: events a slot, by polarity (OFF, ON) and sub-bin; the boundary is at SUB / 2.
     """
     off_re, off_im, on_re, on_im = 0.0, 0.0, 0.0, 0.0
@@ -165,4 +169,5 @@ def grid(t: Floats, on: npt.NDArray[np.bool_], f: float, until: float, found: Fl
         slot = (t[i] - found[0]) * f + 0.5
         k = min(int((slot - math.floor(slot)) * SUB), SUB - 1)
         folded[1 if on[i] else 0, k] += 1.0
-    folded /= max((until - t[0]) * f, 8.0)
+    found[3] = max((until - t[0]) * f, 8.0)
+    folded /= found[3]

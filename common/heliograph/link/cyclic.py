@@ -63,7 +63,7 @@ class CyclicReceiver:
         self._held_on: Flags = np.empty(0, np.bool_)
         self._recent: deque[tuple[int, bool]] = deque(maxlen=8192)  # (end, accepted) of the last second's frames
         self._folded = np.zeros((2, clock.SUB))
-        self._found = np.zeros(3)
+        self._found = np.zeros(4)
 
     def feed(self, t_us: Times, on: Flags, until_us: int) -> list[LinkFrame | Text]:
         """Take the events before until_us (see the contract)."""

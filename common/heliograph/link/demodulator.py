@@ -38,14 +38,18 @@ from heliograph.link.state import (
     State,
 )
 
-# A slot holds a transition when nine tenths of its likelihood say so (the four kinds being equally likely before).
-SURE: Final = 0.9
-# Frames without any transition after which the clock is given up: a clock known to 300 ppm is then off by 0.05 bit.
-SILENT_FRAMES: Final = 16
+# A slot's transition steers the clock when it is more likely than all else; in noise few are surer than that.
+SURE: Final = 0.5
+# Frames without any transition after which the clock is given up: a clock known to 500 ppm is then off by 0.05 bit, and
+# finding it again costs no frame.
+SILENT_FRAMES: Final = 6
 # Frames after which a search for the alignment that found nothing gives the clock up.
 SEARCH_FRAMES: Final = 8
 # Long-run averages of jitter and of the polarities' delay, in transitions.
 AVERAGE: Final = 1.0 / 64.0
+
+# A transition's timing error is believed up to here, in bits: what is further off belongs to the next boundary.
+ERROR_LIMIT: Final = 0.3
 
 DONE: Final = 0
 FULL: Final = 1
@@ -75,8 +79,6 @@ def advance(t: Floats, on: npt.NDArray[np.bool_], until: float, state: State) ->
             offset = t[i] - floats[BOUNDARY]
             k = min(max(int((offset / floats[PERIOD] + 0.5) * SUB), 0), SUB - 1)
             state.counts[ints[SLOT] % RING, p, k] += 1
-            state.moments[p, 0] += 1.0
-            state.moments[p, 1] += offset
             i += 1
         if i == n and until < close:
             return DONE, i
@@ -98,16 +100,16 @@ def _close(state: State) -> bool:
     slot(loglikelihood, state.ring[at])
     fact = state.facts[at]
     fact[AT] = floats[BOUNDARY]
-    fact[EVENTS] = state.moments[0, 0] + state.moments[1, 0]
+    fact[EVENTS] = 0.0
     fact[OUTSIDE] = 0.0
     for p in range(2):
         for k in range(SUB):
+            fact[EVENTS] += here[p, k]
             if not state.core[p, k]:
                 fact[OUTSIDE] += here[p, k]
-    error = _steer(state, state.ring[at], fact)
-    state.moments[:] = 0.0
+    error = _steer(state, at)
     if place(state):
-        response.tabulate(state.model, state.logs, state.total, state.core, state.figures)
+        response.tabulate(state.model, state.logs, state.total, state.core, state.share, state.figures)
     floats[BOUNDARY] += floats[PERIOD] + error
     ints[SLOT] += 1
     state.counts[ints[SLOT] % RING] = 0
@@ -118,23 +120,26 @@ def _close(state: State) -> bool:
 
 
 @numba.njit(cache=True, nogil=True)
-def _steer(state: State, likelihood: Floats, fact: Floats) -> float:
+def _steer(state: State, at: int) -> float:
     """Steer the period by the slot's transition; return by how much the next boundary moves besides."""
-    floats, ints = state.floats, state.ints
+    floats, ints, likelihood = state.floats, state.ints, state.ring[at]
     whole = likelihood[0] + likelihood[1] + likelihood[2] + likelihood[3]
-    p = -1
-    if likelihood[response.RISE] > SURE * whole:
-        p = 1
-    elif likelihood[response.FALL] > SURE * whole:
-        p = 0
-    fact[EDGE] = 0.0
-    if p < 0 or state.moments[p, 0] == 0.0:
+    rise, fall = likelihood[response.RISE] / whole, likelihood[response.FALL] / whole
+    state.facts[at, EDGE] = rise + fall
+    if max(rise, fall) < SURE:
         ints[SILENT] += 1
         return 0.0
-    fact[EDGE] = 1.0
     ints[SILENT] = 0
-    mean = float(state.moments[p, 1] / state.moments[p, 0])
-    error = mean - (floats[HALF] if p == 1 else -floats[HALF])
+    p = 1 if rise > fall else 0
+    # What the background adds to both sums is known.
+    weight, moment = -state.figures[3 + p], -state.figures[5 + p]
+    for k in range(SUB):
+        events = state.counts[at, p, k] * state.share[p, k]
+        weight += events
+        moment += events * ((k + 0.5) / SUB - 0.5)
+    least = max(0.5 * state.figures[7 + p], 0.5)
+    error = float(moment / max(weight, least)) - (floats[HALF] if p == 1 else -floats[HALF])
+    error = min(max(error, -ERROR_LIMIT), ERROR_LIMIT)
     ints[EDGES] += 1
     floats[HALF] += AVERAGE * (error if p == 1 else -error)
     floats[JITTER2] += max(AVERAGE, 1.0 / ints[EDGES]) * (error * error - floats[JITTER2])

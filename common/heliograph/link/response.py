@@ -27,6 +27,9 @@ FALL: Final = 2
 LIT: Final = 3
 # A code's word of n bits rises in about a quarter of its slots; only the start of learning depends on it.
 RISES_A_SLOT: Final = 0.25
+# Standard deviations over the background that make a bin of the lock's window part of the response; without it, half of
+# a noisy region's bins would add up to a phantom transition.
+SIGNIFICANT: Final = 2.0
 # Weight of the table at lock, in slots, and the longest memory: 256 slots are 15 to 25 frames.
 PRIOR_SLOTS: Final = 16
 MEMORY_SLOTS: Final = 256
@@ -36,21 +39,35 @@ STRAY_SHARE: Final = 0.02
 STRAY_EVENTS: Final = 0.02
 # A bin belongs to the response where the rate is this many times the background.
 CORE_RATIO: Final = 3.0
+# Sub-bins that the clock may be off within a frame: an eighth of a bit.
+REACH: Final = 2
+FIGURES: Final = 9
 
 
 @numba.njit(cache=True, nogil=True)
-def start(folded: Floats, rate: Floats, seen: npt.NDArray[np.int64]) -> None:
-    """Set rate (4, 2, SUB) from the folded window (2, SUB), and seen (4,) to zero."""
+def start(folded: Floats, slots: float, rate: Floats, seen: npt.NDArray[np.int64]) -> None:
+    """Set the rates at lock.
+
+    Args:
+        folded: (2, SUB) events a slot in the lock's window, by polarity (OFF, ON) and sub-bin.
+        slots: slots in the window.
+        rate: (4, 2, SUB) out.
+        seen: (4,) out: zero.
+    """
     seen[:] = 0
+    signal = np.zeros(SUB)
     for p in range(2):
-        row = np.sort(folded[p])
-        background = np.mean(row[: SUB // 2])
+        # The median is the background as long as transitions fill less than half of a slot.
+        background = np.median(folded[p])
+        least = SIGNIFICANT * np.sqrt(background / slots)
         for k in range(SUB):
-            before, after = folded[p, max(k - 1, 0)], folded[p, min(k + 1, SUB - 1)]
-            signal = max(0.25 * before + 0.5 * folded[p, k] + 0.25 * after - background, 0.0)
+            over = folded[p, k] - background
+            signal[k] = over if over > least else 0.0
+        for k in range(SUB):
             for x in range(4):
                 rate[x, p, k] = background
-            rate[RISE if p == 1 else FALL, p, k] += signal / RISES_A_SLOT
+            smooth = 0.25 * signal[max(k - 1, 0)] + 0.5 * signal[k] + 0.25 * signal[min(k + 1, SUB - 1)]
+            rate[RISE if p == 1 else FALL, p, k] += smooth / RISES_A_SLOT
 
 
 @numba.njit(cache=True, nogil=True)
@@ -64,7 +81,9 @@ def learn(x: int, counts: npt.NDArray[np.int32], rate: Floats, seen: npt.NDArray
 
 
 @numba.njit(cache=True, nogil=True)
-def tabulate(rate: Floats, logs: Floats, total: Floats, core: npt.NDArray[np.bool_], figures: Floats) -> None:
+def tabulate(
+    rate: Floats, logs: Floats, total: Floats, core: npt.NDArray[np.bool_], share: Floats, figures: Floats
+) -> None:
     """Set what the likelihood needs from the rates.
 
     Args:
@@ -72,7 +91,9 @@ def tabulate(rate: Floats, logs: Floats, total: Floats, core: npt.NDArray[np.boo
         logs: (4, 2, SUB) out: log of the rates, stray events included.
         total: (4,) out: events expected in a slot.
         core: (2, SUB) out: where a transition's events are expected.
-        figures: (3,) out: events a transition, background events a slot, events expected outside `core` a slot.
+        share: (2, SUB) out: the probability that an event is a transition's, given that there is one near here.
+        figures: (FIGURES,) out: events a transition, background events a slot, events expected outside `core` a slot;
+            then for OFF and ON the background's part of sum share and of sum share x, and a transition's of sum share.
     """
     background = 0.0
     burst = 0.0
@@ -98,6 +119,18 @@ def tabulate(rate: Floats, logs: Floats, total: Floats, core: npt.NDArray[np.boo
             core[p, k] = rate[edge, p, k] + stray > CORE_RATIO * quiet
             if not core[p, k]:
                 outside += max(quiet, 0.25 * rate[edge, p, k])
+        for k in range(SUB):
+            share[p, k] = 0.0
+            # As wide as the clock may be off: a shifted response must still be seen to be steered back.
+            for near in range(max(k - REACH, 0), min(k + REACH, SUB - 1) + 1):
+                quiet = 0.5 * (rate[DARK, p, near] + rate[LIT, p, near]) + stray
+                share[p, k] = max(share[p, k], 1.0 - quiet / max(rate[edge, p, near] + stray, quiet))
+        figures[3 + p], figures[5 + p], figures[7 + p] = 0.0, 0.0, 0.0
+        for k in range(SUB):
+            quiet = 0.5 * (rate[DARK, p, k] + rate[LIT, p, k])
+            figures[3 + p] += quiet * share[p, k]
+            figures[5 + p] += quiet * share[p, k] * ((k + 0.5) / SUB - 0.5)
+            figures[7 + p] += max(rate[edge, p, k] - quiet, 0.0) * share[p, k]
     figures[0] = burst
     figures[1] = background
     figures[2] = outside

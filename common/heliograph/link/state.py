@@ -40,7 +40,7 @@ INTS: Final = 7
 
 # Columns of `facts`.
 AT: Final = 0  # the boundary b_m
-EDGE: Final = 1  # 1 where a transition was seen
+EDGE: Final = 1  # probability of a transition
 EVENTS: Final = 2
 OUTSIDE: Final = 3  # events where no transition's are expected
 FACTS: Final = 4
@@ -73,11 +73,10 @@ class State(NamedTuple):
         ring: (RING, 4) tempered likelihoods of the slots (`heliograph.link.likelihood`).
         facts: (RING, FACTS).
         counts: (RING, 2, SUB) events of the slots, by polarity (OFF, ON) and sub-bin.
-        moments: (2, 2) events and summed offsets of the open slot, by polarity.
         sums: (n,) A_r of the search (`heliograph.link.alignment`).
         model: (4, 2, SUB) rates (`heliograph.link.response`).
         seen: (4,) slots learned of each kind.
-        logs: (4, 2, SUB), total: (4,), core: (2, SUB), figures: (3,) what `response.tabulate` makes of the model.
+        logs: (4, 2, SUB), total: (4,), core and share: (2, SUB), figures: what `response.tabulate` makes of the model.
         out: (OUT_ROOM, OUT_FIELDS) records.
     """
 
@@ -87,13 +86,13 @@ class State(NamedTuple):
     ring: Floats
     facts: Floats
     counts: npt.NDArray[np.int32]
-    moments: Floats
     sums: Floats
     model: Floats
     seen: Ints
     logs: Floats
     total: Floats
     core: npt.NDArray[np.bool_]
+    share: Floats
     figures: Floats
     out: Floats
 
@@ -107,14 +106,14 @@ def new_state(code: CyclicCode) -> State:
         ring=np.ones((RING, 4)),
         facts=np.zeros((RING, FACTS)),
         counts=np.zeros((RING, 2, SUB), np.int32),
-        moments=np.zeros((2, 2)),
         sums=np.zeros(code.bits),
         model=np.zeros((4, 2, SUB)),
         seen=np.zeros(4, np.int64),
         logs=np.zeros((4, 2, SUB)),
         total=np.zeros(4),
         core=np.zeros((2, SUB), np.bool_),
-        figures=np.zeros(3),
+        share=np.zeros((2, SUB)),
+        figures=np.zeros(response.FIGURES),
         out=np.zeros((OUT_ROOM, OUT_FIELDS)),
     )
 
@@ -125,7 +124,7 @@ def start(state: State, folded: Floats, found: Floats, last_end: float, longest_
     Args:
         state: to be set.
         folded: (2, SUB) and
-        found: (3,) of `heliograph.link.clock.grid`.
+        found: (4,) of `heliograph.link.clock.grid`.
         last_end: end of the last published frame, in bits from the new origin.
         longest_run: longest legal run of the code.
     """
@@ -136,7 +135,6 @@ def start(state: State, folded: Floats, found: Floats, last_end: float, longest_
     state.ring[:] = 1.0
     state.facts[:] = 0.0
     state.counts[:] = 0
-    state.moments[:] = 0.0
     state.sums[:] = 0.0
-    response.start(folded, state.model, state.seen)
-    response.tabulate(state.model, state.logs, state.total, state.core, state.figures)
+    response.start(folded, found[3], state.model, state.seen)
+    response.tabulate(state.model, state.logs, state.total, state.core, state.share, state.figures)
