@@ -3,7 +3,7 @@
 ::
 
     sensor      640 x 480
-    beacons     five, seed11 at 1000 bit/s, discs of radius 3 px, each on an ellipse at 80 to 240 px/s, rows 0 to 259;
+    beacons     five, seed11 at 1000 bit/s, discs of radius 3 px, each on an ellipse at 75 to 240 px/s, rows 0 to 259;
                 at each edge of its code every pixel of the disc makes two events, 30 us (sd) after it and each other
     noise       at most 0.2 Mev/s, uniform over sensor and time
     texture     all the rest, in rows 290 to 479, one of
@@ -99,7 +99,7 @@ def make_corpus(rate_hz: float, seconds: float, seed: int, texture: Texture = "c
     """
     count = max(1, round(seconds * 1e6 / WINDOW_US))
     discs = [_beacon(i, count * WINDOW_US, seed) for i in range(len(BEACONS))]
-    own_hz = sum(len(disc.t_us) for disc in discs) / (count * WINDOW_US / 1e6)
+    own_hz = sum(map(_nominal_hz, BEACONS))
     windows = []
     for number in range(count):
         t0_us = number * WINDOW_US
@@ -121,6 +121,20 @@ def place_px(beacon: int, t_us: Floats) -> tuple[Floats, Floats]:
     return x_px + a_px * np.cos(phase), y_px + b_px * np.sin(phase)
 
 
+def _nominal_hz(beacon: Beacon) -> float:
+    """Return the events a second that a beacon makes: edges of its word, pixels of its disc, events at each."""
+    word = modulation(beacon.protocol, **beacon.options).encode(beacon.payload)
+    edges = sum(a != b for a, b in zip(word, word[1:] + word[:1], strict=True))
+    return edges * beacon.bit_rate / len(word) * len(_disc()[0]) * EVENTS_A_PIXEL
+
+
+def _disc() -> tuple[Floats, Floats]:
+    """Return the offsets of the pixels of a disc from its centre."""
+    dy, dx = np.mgrid[-RADIUS_PX : RADIUS_PX + 1, -RADIUS_PX : RADIUS_PX + 1].astype(np.float64)
+    inside = dx**2 + dy**2 <= RADIUS_PX**2
+    return dx[inside], dy[inside]
+
+
 def _beacon(index: int, until_us: int, seed: int) -> _Part:
     """Return all events of a beacon."""
     listed = BEACONS[index]
@@ -128,18 +142,16 @@ def _beacon(index: int, until_us: int, seed: int) -> _Part:
     bit_us = 1e6 / listed.bit_rate
     times, levels = edges_of(word * (int(until_us / (len(word) * bit_us)) + 1), 137.0 * index, bit_us)
     generator = np.random.Generator(np.random.Philox(key=[seed + 1_000_003 * (index + 1), 0]))
-    dy, dx = np.mgrid[-RADIUS_PX : RADIUS_PX + 1, -RADIUS_PX : RADIUS_PX + 1]
-    inside = dx**2 + dy**2 <= RADIUS_PX**2
-    spots = int(inside.sum())
-    shape = (len(times), spots, EVENTS_A_PIXEL)
+    dx_px, dy_px = _disc()
+    shape = (len(times), len(dx_px), EVENTS_A_PIXEL)
     late = np.cumsum(np.abs(generator.normal(0.0, JITTER_US, shape)), axis=2)
     t_us = times[:, None, None] + late
     x_px, y_px = place_px(index, times)
     ones = np.ones(shape)
     return _Part(
         t_us.ravel(),
-        ((x_px[:, None, None] + dx[inside][None, :, None]) * ones).ravel(),
-        ((y_px[:, None, None] + dy[inside][None, :, None]) * ones).ravel(),
+        ((x_px[:, None, None] + dx_px[None, :, None]) * ones).ravel(),
+        ((y_px[:, None, None] + dy_px[None, :, None]) * ones).ravel(),
         (levels[:, None, None] & (ones > 0)).ravel(),
     )
 
