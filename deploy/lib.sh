@@ -10,7 +10,7 @@ die() { say "${0##*/}: $*"; exit 2; }
 # Print the first Python of at least 3.11.
 find_python() {
   local name
-  for name in "${PYTHON:-}" python3.13 python3.12 python3.11 python3 python; do
+  for name in "${PYTHON:-}" python3 python3.13 python3.12 python3.11 python; do
     [ -n "$name" ] && command -v "$name" >/dev/null || continue
     # A shim may answer to a name without having the version: so each is asked.
     if "$name" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1; then
