@@ -1,0 +1,206 @@
+"""What a switched LED looks like in the events, learned from the receiver's own decisions.
+
+Model: in sub-bin j of a bit with context c (the bit and the four before it, `uart_layout`), events of polarity q come
+as a Poisson stream with the mean
+
+    lambda[q, c, j]        (events a sub-bin; q = 0: ON, 1: OFF; j = 0 .. 15)
+
+thinned and bunched by the sensor (read-out scans, refractory pixels, saturation), which leaves the mean right and the
+variance F times too large. So the log-likelihood of a bit is the quasi-Poisson one, in nats:
+
+    l(c) = 1/F sum_j sum_q ( y[q, j] ln lambda[q, c, j] - lambda[q, c, j] )
+
+A table in place of one kernel that is shifted and added: the real response is not linear (a pixel that has just fired
+is refractory, the read-out saturates), and each polarity's own delay is in the table by itself.
+
+Learning: counts over decided bits, with a forgetting factor a character. A context seen seldom leans on the contexts
+that end in the same 4, 3, 2 bits (each level is shrunk towards the shorter one by the weight of `SHRINK_BITS` bits),
+and in the end on a parametric response: an exponential tail after each change of level, the same for both polarities.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from heliograph.link.uart_layout import CONTEXT_BITS, CONTEXTS
+
+Counts = npt.NDArray[np.int32]
+Table = npt.NDArray[np.float64]
+# ln(lambda) / F (2, 16, 32); sum_q lambda / F (16, 32); that summed over sub-bins (32,); and of an LED that has idled
+# for long, (ln(lambda) / F, sum_q lambda / F) of any sub-bin (2,)
+Tables = tuple[Table, Table, Table, Table]
+
+SUB_BINS: Final = 16  # sub-bins a bit: finer ones read no better, and each halving doubles the work
+
+# Tail of the response assumed before anything is learned, in bits. Read from the start, .6 takes a space for a 0 where
+# the tail is long; 1.0 reads slow LEDs and, since only the order of the bits' likelihoods matters, sharp ones too.
+COLD_TAIL_BITS: Final = 1.0
+# Share of a transition's events that may come in any bit for no reason: bounds what one stray event can say (3.9 nats).
+FLOOR: Final = 0.02
+# A character learned 300 characters ago counts 1/e: long beside the seldom contexts (one in a few characters), short
+# beside a beacon that comes nearer.
+FORGET: Final = 1.0 - 1.0 / 300.0
+SHRINK_BITS: Final = 4.0
+# Overdispersion before anything is learned: a change of level is never believed more than ten independent events
+# (real sensors: F = 3 to 30 at 200 events a change); and how many bits this guess weighs.
+COLD_F: Final = 4.0
+COLD_WITNESSES: Final = 10.0
+COLD_F_BITS: Final = 44.0
+F_MAX: Final = 400.0
+
+
+def cold_rates(events_per_transition: float) -> Table:
+    """Return (2, 32, 16) float64, events a sub-bin: the response assumed before anything is learned."""
+    rates = np.zeros((2, CONTEXTS, SUB_BINS))
+    at = (np.arange(SUB_BINS) + 0.5) / SUB_BINS
+    for context in range(CONTEXTS):
+        level = context & 1
+        age = 0  # whole bits since the last change, as far as the context reaches
+        while age < CONTEXT_BITS - 1 and (context >> (age + 1)) & 1 == level:
+            age += 1
+        tail = np.exp(-(at + age) / COLD_TAIL_BITS) / COLD_TAIL_BITS / SUB_BINS
+        rates[0 if level else 1, context] = tail * events_per_transition
+    return rates
+
+
+@numba.njit(cache=True, nogil=True)
+def _log_tables(
+    seen: Table, sums: Table, cold: Table, shrink: float, floor: float, f: float, log_rate: Table, rate: Table,
+    total: Table,
+) -> None:  # fmt: skip
+    """Fill log_rate (2, 16, 32) = ln(lambda) / F, rate (16, 32) = sum_q lambda / F and total (32,) = sum_j rate."""
+    contexts, sub = sums.shape[1], sums.shape[2]
+    bits = 0
+    while (1 << bits) < contexts:
+        bits += 1
+    level_seen = np.zeros(contexts)
+    level_sums = np.zeros((contexts, sub))
+    rate[:] = 0.0
+    for q in range(2):
+        mean = cold[q].copy()
+        for length in range(2, bits + 1):
+            mask = (1 << length) - 1
+            level_seen[:] = 0.0
+            level_sums[:] = 0.0
+            for c in range(contexts):
+                level_seen[c & mask] += seen[c]
+                for j in range(sub):
+                    level_sums[c & mask, j] += sums[q, c, j]
+            for c in range(contexts):
+                weight = 1.0 / (level_seen[c & mask] + shrink)
+                for j in range(sub):
+                    mean[c, j] = (level_sums[c & mask, j] + shrink * mean[c, j]) * weight
+        for c in range(contexts):
+            for j in range(sub):
+                value = mean[c, j] + floor
+                log_rate[q, j, c] = np.log(value) / f
+                rate[j, c] += value / f
+    for c in range(contexts):
+        total[c] = 0.0
+        for j in range(sub):
+            total[c] += rate[j, c]
+
+
+@numba.njit(cache=True, nogil=True)
+def _learn(
+    counts: Counts, start: int, slots: npt.NDArray[np.int64], word: int, bits: int, before: int, seen: Table,
+    sums: Table, rate: Table, f: float,
+) -> float:  # fmt: skip
+    """Add a decided word of `bits` bits; return the summed Pearson residuals (y - lambda)^2 / lambda of its bits."""
+    context = before
+    residual = 0.0
+    for n in range(bits):
+        context = ((context << 1) | ((word >> (bits - 1 - n)) & 1)) & (seen.shape[0] - 1)
+        at = start + slots[n]
+        total = 0.0
+        expected = 0.0
+        for j in range(sums.shape[2]):
+            on, off = counts[at + j, 0], counts[at + j, 1]
+            sums[0, context, j] += on
+            sums[1, context, j] += off
+            total += on + off
+            expected += rate[j, context]
+        seen[context] += 1.0
+        expected *= f
+        residual += (total - expected) ** 2 / expected
+    return residual
+
+
+class StepResponse:
+    """The learned response of one track's LED.
+
+    Args:
+        events_per_transition: what to expect before anything is learned; > 0.
+    """
+
+    def __init__(self, events_per_transition: float) -> None:
+        self.events_per_transition = events_per_transition
+        self.log_rate: Table = np.empty((2, SUB_BINS, CONTEXTS))  # ln(lambda) / F
+        self.rate: Table = np.empty((SUB_BINS, CONTEXTS))  # sum over polarities of lambda / F
+        self.total: Table = np.empty(CONTEXTS)  # sum over a bit's sub-bins of rate
+        self.quiet: Table = np.empty(2)
+        self.f = max(COLD_F, events_per_transition / COLD_WITNESSES)
+        self._cold = cold_rates(events_per_transition)
+        self._floor = FLOOR * events_per_transition / SUB_BINS
+        self._seen = np.zeros(CONTEXTS)
+        self._sums = np.zeros((2, CONTEXTS, SUB_BINS))
+        self._residual = self.f * COLD_F_BITS
+        self._residual_bits = COLD_F_BITS
+        self.refresh()
+
+    @property
+    def tables(self) -> Tables:
+        """The tables, as the kernels take them; `refresh` changes them in place."""
+        return self.log_rate, self.rate, self.total, self.quiet
+
+    def learn(
+        self, counts: Counts, start: int, slots: npt.NDArray[np.int64], word: int, bits: int, before: int
+    ) -> None:
+        """Take in a decided word; call `refresh` to use it.
+
+        Args:
+            counts: (n, 2) int32, events a sub-bin, ON and OFF.
+            start: sub-bin of the word's first bit.
+            slots: (bits,) int64, offsets of the bits' first sub-bins.
+            word: the bits, first on the air = most significant.
+            bits: how many.
+            before: context of the bit before the word.
+        """
+        residual = _learn(counts, start, slots, word, bits, before, self._seen, self._sums, self.rate, self.f)
+        self._residual += residual
+        self._residual_bits += bits
+
+    def forget(self) -> None:
+        """Let what was learned fade by one character."""
+        self._seen *= FORGET
+        self._sums *= FORGET
+        self._residual *= FORGET
+        self._residual_bits *= FORGET
+
+    def refresh(self) -> None:
+        """Bring the tables up to what has been learned."""
+        self.f = min(max(self._residual / self._residual_bits, 1.0), F_MAX)
+        _log_tables(
+            self._seen, self._sums, self._cold, SHRINK_BITS, self._floor, self.f, self.log_rate, self.rate, self.total
+        )
+        self.quiet[:] = np.log(self._floor) / self.f, 2.0 * self._floor / self.f
+
+    def relearn(self) -> StepResponse:
+        """Return an unlearned response that expects as many events: the next round of learning starts from it."""
+        return StepResponse(self.events_per_transition)
+
+    def change_centre(self) -> float:
+        """Return the mean sub-bin (0 to 16) of the events in bits whose level differs from the bit before."""
+        total = moment = 0.0
+        at = np.arange(SUB_BINS) + 0.5
+        for context in range(CONTEXTS):
+            level = context & 1
+            if (context >> 1) & 1 != level:
+                y = self._sums[0 if level else 1, context]
+                total += float(y.sum())
+                moment += float(y @ at)
+        return moment / total if total > 0.0 else SUB_BINS / 2

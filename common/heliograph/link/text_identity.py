@@ -1,0 +1,167 @@
+"""When a track is a text beacon, and what may be said until then.
+
+A *good* character has the right start, parity and stop bits, decided on likelihood (`uart_lock.is_good`). In random
+bits at the right clock, eleven bits in a row are one with the chance 2^-4; after idle time of any length with 2^-3,
+since the idle bits may be chosen. A run of good characters is worth the product; the track is a text beacon when it
+falls below 1e-12 (ten characters one right after another: 16^-10 = 9e-13), so that the chance stays below 1e-10 a bit
+position although a run may begin at any of several sub-bins. The run must hold three different characters: one that is
+repeated is a periodic signal, which a lamp or a cyclic code makes too (`seed11` with the parity of the paper's text
+reads as one character for ever). Until then characters are held back; then they are released at once.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from math import exp, log
+from typing import Final
+
+from heliograph.errors import Refusal, Refusals
+from heliograph.link.contract import Identity, Text, Verdict
+from heliograph.link.uart_follow import Decision
+from heliograph.link.uart_layout import CHARACTER_BITS
+from heliograph.units import US_PER_S
+
+WORTH_NEEDED: Final = log(1e12)
+WORTH: Final = log(16.0)
+WORTH_AFTER_IDLE: Final = log(8.0)
+DIFFERENT_NEEDED: Final = 3
+HELD_MAX: Final = 64  # characters; the oldest of a longer wait (one character repeated) are let go, and counted
+
+# Of the last 20 decisions: so many refused, and the track is no text any more, or the framing is lost.
+WATCHED: Final = 20
+REFUSED_MAX: Final = 10
+
+# The paper's score (its Algorithm 1), with the floor that lets a valid track recover.
+SCORE_START: Final = 10
+SCORE_MAX: Final = 20
+SCORE_MIN: Final = -10
+GAIN: Final = 2
+LOSS: Final = 1
+# A valid track may be silent for 2 s or five characters, whichever is longer; a new one must have said something by
+# the time that the cold start has seen all that it keeps (64 characters).
+SILENCE_US: Final = 2 * US_PER_S
+SILENCE_CHARACTERS: Final = 5
+NEW_US: Final = 300_000
+NEW_CHARACTERS: Final = 64
+# A lit LED that idles supports its identity without a word, for so long.
+IDLE_SUPPORT_US: Final = 60 * US_PER_S
+
+
+def probability(margin: float) -> float:
+    """Return the chance that a character with this margin (nats to the runner-up) is right."""
+    return 1.0 / (1.0 + exp(-min(max(margin, 0.0), 700.0)))
+
+
+class TextIdentity:
+    """Judges the decisions of one track.
+
+    Args:
+        refusals: where refused characters are counted.
+        bit_us: nominal length of a bit.
+    """
+
+    def __init__(self, refusals: Refusals, bit_us: float) -> None:
+        self._refusals = refusals
+        self._character_us = CHARACTER_BITS * bit_us
+        self._begun_us: int | None = None
+        self._since_us: int | None = None
+        self._support_us: int | None = None  # end of the newest good character, or of the idle time after it
+        self._spoken_us: int | None = None  # end of the newest good character
+        self._held: deque[str] = deque()
+        self._worth = 0.0
+        self._run: set[int] = set()
+        self._frames = 0
+        self._margin = 0.0
+        self._watched: deque[float] = deque(maxlen=WATCHED)  # chance of being right; 0: refused
+        self._score = SCORE_START
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the track is a text beacon."""
+        return self._since_us is not None
+
+    def begin(self, t_us: int) -> None:
+        """Take note of the track's first event."""
+        if self._begun_us is None:
+            self._begun_us = t_us
+
+    def take(self, decision: Decision, end_us: int) -> Text | None:
+        """Judge a decision; return what it releases."""
+        if self._spoken_us is not None and end_us - self._spoken_us > IDLE_SUPPORT_US:
+            self.drop()
+        if decision.refusal is not None:
+            self._refusals[decision.refusal] += 1
+        self._watched.append(0.0 if decision.code is None else probability(decision.margin))
+        if decision.good and decision.code is not None:
+            self._good(decision, decision.code, end_us)
+        else:
+            self._score = max(self._score - LOSS, SCORE_MIN)
+            self._worth = 0.0
+            self._run.clear()
+        if decision.code is None:
+            return None
+        self._held.append(chr(decision.code))
+        if not self.accepted:
+            if self._worth < WORTH_NEEDED or len(self._run) < DIFFERENT_NEEDED:
+                if len(self._held) > HELD_MAX:
+                    self._held.popleft()
+                    self._refusals[Refusal.PERIODIC] += 1
+                return None
+            self._since_us = end_us
+        text = "".join(self._held)
+        self._held.clear()
+        return Text(t_us=end_us, text=text, data=None)
+
+    def _good(self, decision: Decision, code: int, end_us: int) -> None:
+        self._score = min(self._score + GAIN, SCORE_MAX)
+        self._worth += WORTH_AFTER_IDLE if decision.after_idle else WORTH
+        if len(self._run) < DIFFERENT_NEEDED:
+            self._run.add(code)
+        self._frames += 1
+        self._margin += decision.margin
+        self._spoken_us = self._support_us = end_us
+
+    def idle(self, until_us: int) -> None:
+        """Take note that the LED idles, lit."""
+        if self._spoken_us is not None and self._support_us is not None:
+            self._support_us = max(self._support_us, min(until_us, self._spoken_us + IDLE_SUPPORT_US))
+
+    def bad(self) -> bool:
+        """Return whether too many of the last decisions were refused."""
+        return sum(chance == 0.0 for chance in self._watched) >= REFUSED_MAX
+
+    def drop(self) -> None:
+        """Take the identity back, and begin anew."""
+        self._since_us = None
+        self._held.clear()
+        self._worth = 0.0
+        self._run.clear()
+        self._frames = 0
+        self._margin = 0.0
+        self._watched.clear()
+
+    def identity(self) -> Identity | None:
+        """Return the accepted identity, or None."""
+        if self._since_us is None or self._support_us is None:
+            return None
+        return Identity(
+            payload=None,
+            since_us=self._since_us,
+            t_us=self._support_us,
+            frames_used=self._frames,
+            margin=self._margin,
+            confidence=sum(self._watched) / max(len(self._watched), 1),
+        )
+
+    def verdict(self, now_us: int) -> Verdict:
+        """Return what the track is at now_us."""
+        if self._score <= SCORE_MIN:
+            return "invalid"
+        if self.accepted:
+            limit = max(SILENCE_US, SILENCE_CHARACTERS * self._character_us)
+        else:
+            limit = max(NEW_US, NEW_CHARACTERS * self._character_us)
+        since_us = self._support_us if self._support_us is not None else self._begun_us
+        if since_us is not None and now_us - since_us > limit:
+            return "invalid"
+        return "valid" if self.accepted else "new"

@@ -1,0 +1,230 @@
+"""Following a text beacon, character by character: decision, clock and response in one loop.
+
+State: the sub-bin p at which the next character may begin, the bit length, the context of the bit before, the learned
+response. Three ways to go on, each of which waits for exactly the sub-bins that it reads:
+
+* NEXT: a character begins within 3/8 bit of p, or (after idle time) within 10 sub-bins of where a start bit first
+  became likely. If it explains its 11 bits as well as any word would, it is decided.
+* SPAN: otherwise 26 bits from p on are explained as a whole by characters, idle time and junk, and only what comes
+  first is believed. So an end of the text, a part of a bit of idle time, or an occlusion does not cost the framing.
+* IDLE: while nothing happens, look for a start bit.
+
+Clock: a PI loop on each decided character's offset e (sub-bins, interpolated): p += K_P e, bit += K_I e / 11. Response
+and clock could drift together, so the loop also holds the centre of the learned changes of level where it was.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+import numpy as np
+
+from heliograph.errors import Refusal
+from heliograph.link.step_response import SUB_BINS, Counts
+from heliograph.link.uart_layout import CHARACTER_BITS, IDLE_CONTEXT
+from heliograph.link.uart_lock import CLOCK_MAX, WORDS, Lock, is_good
+from heliograph.link.uart_words import IDLE, explain, near, skip_idle, slots_of
+
+REACH: Final = 6  # 3/8 bit: the clock is held to a few sub-bins; half a bit would let in the neighbouring framing
+REACH_AFTER_IDLE: Final = 10
+SPAN_BITS: Final = 26
+IDLE_STEP: Final = 4 * SUB_BINS
+# Loop gains a character: with .15 the phase settles in 7 characters, the rate in about 100.
+K_P: Final = 0.15
+K_I: Final = 0.01
+K_HOLD: Final = 0.02
+# What NEXT decides at once; the rest is looked at in its surroundings.
+SURE_DEFICIT: Final = 8.0
+# What is released although it is no good witness: odds of 7 to 1 among characters, and at most one bit against it.
+RELEASE_MARGIN: Final = 2.0
+RELEASE_DEFICIT: Final = 20.0
+
+
+class Mode(Enum):
+    """How the follower goes on."""
+
+    NEXT = "next"
+    SPAN = "span"
+    IDLE = "idle"
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What became of eleven bits.
+
+    Args:
+        start: sub-bin at which they begin (a part of it counts).
+        end: where they end.
+        code: the character, or None where refused.
+        refusal: why; None where decided.
+        good: a witness of text (`uart_lock.is_good`).
+        after_idle: it did not follow another character at once.
+        margin: nats to the runner-up.
+        offset: where it was found, against its clock, in sub-bins.
+        events: number of events in its bits.
+    """
+
+    start: float
+    end: float
+    code: int | None
+    refusal: Refusal | None
+    good: bool
+    after_idle: bool
+    margin: float
+    offset: float
+    events: int
+
+
+def reason(word: int, events: int, events_per_transition: float) -> Refusal:
+    """Return why eleven bits are no character."""
+    if events < events_per_transition / 2:
+        return Refusal.OCCLUSION
+    if word & 3 != 3:
+        return Refusal.STOP_BITS
+    if (word >> 2).bit_count() & 1:
+        return Refusal.PARITY
+    return Refusal.WEAK
+
+
+class Follower:
+    """Decides the characters of a track whose response is known.
+
+    Args:
+        found: what the cold start found.
+        start: sub-bin of the first character.
+    """
+
+    def __init__(self, found: Lock, start: int) -> None:
+        self.response = found.response
+        self.position = float(start)
+        self.bit_bins = found.bit_bins
+        self._slots = slots_of(found.bit_bins)
+        self._before = IDLE_CONTEXT
+        self._mode = Mode.NEXT
+        self._after_idle = True
+        self._level_known = False
+        self._reach = REACH
+        self._centre = self.response.change_centre()
+        self._path = np.empty((SPAN_BITS * SUB_BINS, 2), np.int64)
+
+    @property
+    def lit(self) -> bool:
+        """Whether the LED is thought to idle, lit."""
+        return self._mode is Mode.IDLE and self._level_known
+
+    def need(self) -> int:
+        """Return how far the sub-bins must be known for the next step."""
+        start = round(self.position)
+        if self._mode is Mode.NEXT:
+            return start + self._reach + int(self._slots[-1]) + SUB_BINS
+        return start + (SPAN_BITS * SUB_BINS if self._mode is Mode.SPAN else IDLE_STEP + SUB_BINS)
+
+    def step(self, counts: Counts, base: int) -> Decision | None:
+        """Go on by one step; the sub-bins before `need` must be known. Return a decision, if one was made.
+
+        Args:
+            counts: (n, 2) int32.
+            base: number of the first row.
+        """
+        if self._mode is Mode.NEXT:
+            return self._next(counts, base, SURE_DEFICIT)
+        if self._mode is Mode.SPAN:
+            return self._span(counts, base)
+        return self._idle(counts, base)
+
+    def _idle(self, counts: Counts, base: int) -> None:
+        start = round(self.position) - base
+        at = skip_idle(counts, start, start + IDLE_STEP, self.response.tables)
+        self.position = float(at + base)
+        self._after_idle = True
+        if at < start + IDLE_STEP:
+            self.position += SUB_BINS // 2
+            self._mode, self._reach = Mode.NEXT, REACH_AFTER_IDLE
+
+    def _next(self, counts: Counts, base: int, deficit_max: float) -> Decision | None:
+        start = round(self.position)
+        offset, code, likelihood, second, free, word, refined = near(
+            counts, start - base, self._reach, self._slots, self._before, self.response.tables
+        )
+        if free - likelihood > deficit_max:
+            self._mode = Mode.SPAN
+            if self._reach != REACH:
+                self.position -= SUB_BINS // 2
+                self._reach = REACH
+            return None
+        margin = likelihood - second
+        good = is_good(likelihood, second, free)
+        error = refined + start - self.position
+        self._steer(error)
+        begin = self.position
+        at = round(begin) - base
+        events = int(counts[at : at + int(self._slots[-1]) + SUB_BINS].sum())
+        released = good or (margin >= RELEASE_MARGIN and free - likelihood <= RELEASE_DEFICIT)
+        if good:
+            self._learn(counts, at, int(WORDS[code]))
+        after_idle = self._after_idle
+        self._move(begin + CHARACTER_BITS * self.bit_bins, int(WORDS[code]) & IDLE_CONTEXT)
+        return Decision(
+            start=begin,
+            end=begin + CHARACTER_BITS * self.bit_bins,
+            code=code if released else None,
+            refusal=None if released else reason(word, events, self.response.events_per_transition),
+            good=good,
+            after_idle=after_idle,
+            margin=margin,
+            offset=offset if after_idle else error,
+            events=events,
+        )
+
+    def _move(self, position: float, before: int) -> None:
+        self.position = position
+        self._before = before
+        self._mode, self._reach, self._after_idle = Mode.NEXT, REACH, False
+        self._level_known = True
+
+    def _steer(self, error: float) -> None:
+        if self._after_idle:
+            self.position += error
+            return
+        bit_bins = self.bit_bins + K_I * error / CHARACTER_BITS
+        self.bit_bins = min(max(bit_bins, SUB_BINS * (1 - CLOCK_MAX)), SUB_BINS * (1 + CLOCK_MAX))
+        self._slots = slots_of(self.bit_bins)
+        self.position += K_P * error + K_HOLD * (self.response.change_centre() - self._centre)
+
+    def _learn(self, counts: Counts, at: int, word: int) -> None:
+        self.response.forget()
+        self.response.learn(counts, at, self._slots, word, CHARACTER_BITS, self._before)
+        self.response.refresh()
+
+    def _span(self, counts: Counts, base: int) -> Decision | None:
+        start, n = round(self.position), SPAN_BITS * SUB_BINS
+        response = self.response
+        steps = explain(counts, start - base, n, self._slots, self._before, response.tables, self._path)
+        path = self._path[:steps]
+        characters = np.flatnonzero(path[:, 1] >= 0)
+        first = int(characters[0]) if len(characters) else steps
+        idle = int(np.count_nonzero(path[:first, 1] == IDLE))
+        junk = (first - idle) * SUB_BINS
+        at = int(path[first, 0]) if first < steps else n - (CHARACTER_BITS + 1) * SUB_BINS
+        if at <= REACH and first < steps:
+            self.position = float(start + at)
+            return self._next(counts, base, np.inf)
+        self._after_idle = True
+        if junk or idle >= 4 * SUB_BINS:
+            self._before = IDLE_CONTEXT
+        else:
+            ones = idle // SUB_BINS
+            self._before = ((self._before << ones) | ((1 << ones) - 1)) & IDLE_CONTEXT
+        self.position = float(start + at)
+        if first == steps and not junk:
+            self._mode = Mode.IDLE
+        elif first < steps:
+            self._mode = Mode.NEXT
+        if junk < CHARACTER_BITS * SUB_BINS // 2:
+            return None
+        self._level_known = False
+        events = int(counts[start - base : start - base + at].sum())
+        why = reason(0x7FF if events else 0, events, response.events_per_transition)
+        return Decision(start, self.position, None, why, False, True, 0.0, 0.0, events)

@@ -1,0 +1,125 @@
+"""Cold start of the text receiver: from the events alone to the LED's response, the bit clock and the framing.
+
+A stretch of sixteen characters is explained (`uart_words.explain`) with a parametric response, the response is learned
+from that explanation, and again, four times: expectation and maximisation with hard decisions. Contexts lean on
+shorter ones while little is known, so an early mistake is outvoted rather than learned by heart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from heliograph.link.step_response import SUB_BINS, Counts, StepResponse
+from heliograph.link.uart_layout import CHARACTER_BITS, IDLE_CONTEXT, word_table
+from heliograph.link.uart_words import Slots, explain, near, slots_of
+
+CHARACTER_BINS: Final = CHARACTER_BITS * SUB_BINS
+# Ten characters to identify a beacon, and a few that the stretch's ends cut; with 12 a third of the starts fail on the
+# recordings' first stretch, and every further one delays the first identification.
+LOCK_CHARACTERS: Final = 16
+LOCK_BINS: Final = LOCK_CHARACTERS * CHARACTER_BINS
+ROUNDS: Final = 4
+# Fewer events than this in the stretch (three a character) teach nothing: the LED idles, or is too far away.
+LOCK_EVENTS: Final = 3 * LOCK_CHARACTERS
+# Of the characters that the stretch can hold: fewer, and it is not text, or not yet.
+LOCK_GOOD: Final = 6
+# A character holds five changes of level on average.
+CHANGES: Final = 5.0
+CLOCK_MAX: Final = 0.025  # offsets beyond 2.5 % are another bit rate
+
+# A character is good, that is a witness of text, if hardly any other word of 11 bits, and no other character, explains
+# its events as well (nats). Where F is right, 4 nats are odds of 55 to 1.
+GOOD_DEFICIT: Final = 4.0
+GOOD_MARGIN: Final = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class Lock:
+    """What a cold start found.
+
+    Args:
+        response: learned from the stretch.
+        bit_bins: length of a bit in sub-bins.
+        start: sub-bin of the first character, counted from the stretch's beginning.
+        good: number of good characters.
+    """
+
+    response: StepResponse
+    bit_bins: float
+    start: int
+    good: int
+
+
+WORDS: Final = word_table()
+
+
+def is_good(likelihood: float, second: float, free: float) -> bool:
+    """Return whether a character with these log-likelihoods is a witness of text."""
+    return free - likelihood <= GOOD_DEFICIT and likelihood - second >= GOOD_MARGIN
+
+
+def characters_in(counts: Counts, start: int, n: int, slots: Slots, response: StepResponse) -> list[tuple[int, int]]:
+    """Return (sub-bin counted from start, code) of the characters that best explain the sub-bins [start, start + n)."""
+    path = np.empty((n, 2), np.int64)
+    steps = explain(counts, start, n, slots, -1, response.tables, path)
+    found = path[:steps]
+    return [(int(at), int(code)) for at, code in found[found[:, 1] >= 0]]
+
+
+def _learn(counts: Counts, start: int, found: list[tuple[int, int]], slots: Slots, response: StepResponse) -> None:
+    end, before = -1, IDLE_CONTEXT
+    for at, code in found:
+        if abs(at - end) > SUB_BINS // 4:
+            before = IDLE_CONTEXT
+        word = int(WORDS[code])
+        response.learn(counts, start + at, slots, word, CHARACTER_BITS, before)
+        before = word & IDLE_CONTEXT
+        end = at + CHARACTER_BINS
+    response.refresh()
+
+
+def _bit_bins(found: list[tuple[int, int]]) -> float:
+    """Return the bit length that the distances of neighbours tell, in sub-bins."""
+    steps = [b[0] - a[0] for a, b in pairwise(found) if b[0] - a[0] < CHARACTER_BINS + 4]
+    if len(steps) < LOCK_GOOD - 1:
+        return float(SUB_BINS)
+    mean = sum(steps) / len(steps) / CHARACTER_BITS
+    return min(max(mean, SUB_BINS * (1 - CLOCK_MAX)), SUB_BINS * (1 + CLOCK_MAX))
+
+
+def _count_good(counts: Counts, start: int, found: list[tuple[int, int]], slots: Slots, response: StepResponse) -> int:
+    good = 0
+    end, before = -1, IDLE_CONTEXT
+    for at, code in found:
+        if abs(at - end) > SUB_BINS // 4:
+            before = IDLE_CONTEXT
+        _, _, likelihood, second, free, _, _ = near(counts, start + at, 0, slots, before, response.tables)
+        good += is_good(likelihood, second, free)
+        before = int(WORDS[code]) & IDLE_CONTEXT
+        end = at + CHARACTER_BINS
+    return good
+
+
+def lock(counts: Counts, start: int, n: int) -> Lock | None:
+    """Look for text in the sub-bins [start, start + n); n at least LOCK_BINS. Return None if there is none."""
+    events = int(counts[start : start + n].sum())
+    if events < LOCK_EVENTS:
+        return None
+    response = StepResponse(events * CHARACTER_BINS / (n * CHANGES))
+    slots = slots_of(SUB_BINS)
+    found: list[tuple[int, int]] = []
+    for _ in range(ROUNDS):
+        found = characters_in(counts, start, n, slots, response)
+        if len(found) < LOCK_GOOD:
+            return None
+        slots = slots_of(_bit_bins(found))
+        response = response.relearn()
+        _learn(counts, start, found, slots, response)
+    good = _count_good(counts, start, found, slots, response)
+    if good < LOCK_GOOD:
+        return None
+    return Lock(response, _bit_bins(found), found[0][0], good)
