@@ -6,7 +6,7 @@ receiver decides a frame at each change from on to off; three equal ones in a ro
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from heliograph.errors import Refusal, Refusals
 from heliograph.events import EventBatch, Flags, Times, concatenate
-from heliograph.link.contract import Bits, Identity, LinkFrame, LinkQuality, Text, Verdict
+from heliograph.link.contract import Bits, Identity, LinkFrame, LinkQuality, Text, Verdict, edges_of
 from heliograph.messages import Message, Tracks
 from heliograph.streams import Events
 
@@ -164,10 +164,9 @@ def scene(
             rng.random(n) < 0.5,
         )
     )
-    merged = concatenate(parts)
-    inside = (merged.t_us >= t0_us) & (merged.t_us < t1_us)
-    order = np.flatnonzero(inside)[np.argsort(merged.t_us[inside], kind="stable")]
-    return EventBatch(merged.t_us[order], merged.x_px[order], merged.y_px[order], merged.on[order])
+    whole = merged(parts)
+    first, behind = np.searchsorted(whole.t_us, [t0_us, t1_us])
+    return whole.part(int(first), int(behind))
 
 
 def _edges(
@@ -185,6 +184,32 @@ def _edges(
     return EventBatch(
         t[fires].astype(np.int64), x[fires].astype(np.uint16), y[fires].astype(np.uint16), np.full(n, level)
     )
+
+
+def coded(
+    path: Path, radius_px: float, bits: Sequence[int], bit_us: float, t1_us: int, width: int, height: int, seed: int
+) -> EventBatch:
+    """Return the events of a disc that repeats the bits from time 0 to t1_us; latencies of 60 +- 30 us."""
+    rng = np.random.default_rng([seed, 8])
+    n = int(t1_us / bit_us) + 1
+    at_us, levels = edges_of((list(bits) * (n // len(bits) + 1))[:n], 0.0, bit_us)
+    x0, y0 = path(at_us / 1e6)
+    side = np.arange(-np.ceil(radius_px), np.ceil(radius_px) + 1)
+    ox, oy = (grid.ravel() for grid in np.meshgrid(side, side))
+    x = np.round(x0)[:, None] + ox
+    y = np.round(y0)[:, None] + oy
+    t = (at_us[:, None] + np.abs(rng.normal(60, 30, x.shape))).astype(np.int64)
+    near = (x - x0[:, None]) ** 2 + (y - y0[:, None]) ** 2 <= radius_px**2
+    fires = near & (rng.random(x.shape) < 0.8) & (x >= 0) & (x < width) & (y >= 0) & (y < height) & (t < t1_us)
+    on = np.broadcast_to(levels[:, None], x.shape)
+    return EventBatch(t[fires], x[fires].astype(np.uint16), y[fires].astype(np.uint16), on[fires])
+
+
+def merged(parts: list[EventBatch]) -> EventBatch:
+    """Return all events in the order of time."""
+    whole = concatenate(parts)
+    order = np.argsort(whole.t_us, kind="stable")
+    return EventBatch(whole.t_us[order], whole.x_px[order], whole.y_px[order], whole.on[order])
 
 
 def messages(

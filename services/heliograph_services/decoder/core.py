@@ -28,7 +28,7 @@ from heliograph_services.decoder.links import Accepted, Decided, LinkPlan, Measu
 from heliograph_services.decoder.publish import BearingOf, FrameRow, Publisher
 from heliograph_services.decoder.regions import Place
 from heliograph_services.decoder.schedule import Schedule
-from heliograph_services.decoder.stream import JUMP_US, EventStream, Window, sound
+from heliograph_services.decoder.stream import EventStream, Window, fault
 from heliograph_services.decoder.tracks import SILENCE_US, Track
 
 SECOND_US: Final = 1_000_000
@@ -114,8 +114,9 @@ class DecoderCore:
         if events.camera != self._config.camera:
             self._refuse(Refusal.OTHER_CAMERA)
             return []
-        if not sound(events):
-            self._refuse(Refusal.TIME_JUMP if events.t1_us - events.t0_us > JUMP_US else Refusal.UNORDERED)
+        broken = fault(events)
+        if broken is not None:
+            self._refuse(broken)
             return []
         out: list[Message] = []
         if self._stream is not None:

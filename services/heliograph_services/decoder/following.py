@@ -73,7 +73,7 @@ class Following:
     def apply(self, message: Tracks, now_us: int) -> Applied:
         """Let a Tracks message take effect at now_us, the regions' instant."""
         config = self._config
-        told = told_by(message, config.region_scale, config.region_margin_px, config.region_max_px)
+        told, left_out = told_by(message, {track.name for track in self.tracks}, config)
         elapsed_us = now_us - message.as_of_us
         places = self.regions.places()
         plan = plan_of(self.tracks, places, told, elapsed_us)
@@ -84,7 +84,7 @@ class Following:
         room = config.max_tracks - len(self.tracks)
         new = plan.new[:room]
         begun = self._begin(new, message.as_of_us, now_us) if new else []
-        return Applied(renamed, ended, begun, len(plan.new) - len(new))
+        return Applied(renamed, ended, begun, left_out + len(plan.new) - len(new))
 
     def _go_on(self, plan: Plan, elapsed_us: int, now_us: int) -> list[tuple[Track, str]]:
         """Mix what is told into the regions that go on; return the tracks with a new name."""

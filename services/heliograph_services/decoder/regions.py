@@ -64,7 +64,8 @@ def place(x_px: float, y_px: float, vx_px_s: float, vy_px_s: float, reach_px: fl
 
 
 def _within(value: float, limit: float) -> float:
-    return min(max(value, -limit), limit)
+    # What is no number at all is off the sensor too.
+    return min(value, limit) if value > -limit else -limit
 
 
 @dataclass(frozen=True, slots=True)

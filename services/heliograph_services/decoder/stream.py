@@ -16,6 +16,7 @@ import numpy as np
 
 from heliograph.errors import Refusal
 from heliograph.events import EventBatch, concatenate
+from heliograph.messages import TIME_LIMIT_US
 from heliograph.streams import Events
 
 # A gap, or a message, that is longer is a jump: after a second of silence no clock is locked and no region is right.
@@ -106,11 +107,17 @@ class EventStream:
         return concatenate(parts)
 
 
-def sound(events: Events) -> bool:
-    """Return whether the events lie in their window, which is no longer than a jump (order is the sender's word)."""
+def fault(events: Events) -> Refusal | None:
+    """Return what is wrong with a message by itself (the order of its events is the sender's word)."""
+    # Windows reach over a message's ends, and may not leave what a record can carry.
+    if max(abs(events.t0_us), abs(events.t1_us)) > TIME_LIMIT_US - JUMP_US:
+        return Refusal.TIME_JUMP
+    if not 0 <= events.t1_us - events.t0_us <= JUMP_US:
+        return Refusal.TIME_JUMP
     t_us = events.batch.t_us
-    inside = not len(t_us) or (int(t_us[0]) >= events.t0_us and int(t_us[-1]) <= events.t1_us)
-    return inside and 0 <= events.t1_us - events.t0_us <= JUMP_US
+    if len(t_us) and not events.t0_us <= int(t_us[0]) <= int(t_us[-1]) <= events.t1_us:
+        return Refusal.UNORDERED
+    return None
 
 
 def _owned(batch: EventBatch) -> EventBatch:

@@ -10,8 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final
 
+import numpy as np
+
 from heliograph.link.contract import Text
 from heliograph.messages import Identification, Tracks
+from heliograph_services.decoder.config import DecoderConfig
 from heliograph_services.decoder.links import Accepted, TrackLinks
 from heliograph_services.decoder.regions import Place, place
 
@@ -72,19 +75,30 @@ class Plan:
     new: list[Told]
 
 
-def told_by(tracks: Tracks, scale: float, margin_px: float, max_px: float) -> list[Told]:
-    """Return the rows of a message with their regions: reach = scale * radius + margin, at most max_px.
+def told_by(message: Tracks, followed: set[str], config: DecoderConfig) -> tuple[list[Told], int]:
+    """Return the rows of a message with their regions, and how many rows were left out.
 
-    A track that is born after the message's own instant counts as born at it.
+    A region's reach is scale * radius + margin, at most region_max_px. A track that is born after the message's own
+    instant counts as born at it. Of names that are not followed, the first max_tracks are taken: a damaged message may
+    have a million.
     """
-    columns = zip(
-        tracks.track, tracks.born_us, tracks.x_px, tracks.y_px, tracks.vx_px_s, tracks.vy_px_s, tracks.radius_px,
-        strict=True,
-    )  # fmt: skip
-    return [
-        Told(name, min(born, tracks.as_of_us), place(x, y, vx, vy, min(scale * radius + margin_px, max_px)))
-        for name, born, x, y, vx, vy, radius in columns
-    ]
+    room = config.max_tracks
+    rows: list[Told] = []
+    for i, name in enumerate(message.track):
+        if name not in followed:
+            if room == 0:
+                continue
+            room -= 1
+        reach_px = config.region_scale * message.radius_px[i] + config.region_margin_px
+        at = place(
+            message.x_px[i],
+            message.y_px[i],
+            message.vx_px_s[i],
+            message.vy_px_s[i],
+            min(config.region_max_px, reach_px),
+        )
+        rows.append(Told(name, min(message.born_us[i], message.as_of_us), at))
+    return rows, len(message.track) - len(rows)
 
 
 def plan_of(followed: list[Track], places: list[Place], told: list[Told], elapsed_us: int) -> Plan:
@@ -117,13 +131,15 @@ def _pairs(missing: list[tuple[Track, Place]], new: list[Told], elapsed_us: int)
 
     One spot means that each one's centre lies in the other's region.
     """
+    there = [row.place.after(elapsed_us) for row in new]
+    x_px = np.array([at.x_px for at in there])
+    y_px = np.array([at.y_px for at in there])
+    reach_px = np.array([at.reach_px for at in there])
     candidates: list[tuple[float, int, int]] = []
     for i, (_, own) in enumerate(missing):
-        for k, row in enumerate(new):
-            there = row.place.after(elapsed_us)
-            away = own.away_px(there)
-            if away <= min(own.reach_px, there.reach_px):
-                candidates.append((away, i, k))
+        away = np.hypot(x_px - own.x_px, y_px - own.y_px)
+        near = np.flatnonzero(away <= np.minimum(reach_px, own.reach_px))
+        candidates += [(float(away[k]), i, int(k)) for k in near]
     pairs: list[tuple[Track, Told]] = []
     used_i: set[int] = set()
     used_k: set[int] = set()
