@@ -85,6 +85,17 @@ def test_a_second_copy_of_a_frame_is_an_insertion() -> None:
     assert counts["insertions/seed11"] == 1
 
 
+@pytest.mark.parametrize("off_us", [-2_000, 2_000])
+def test_of_two_frames_the_one_nearer_in_time_matches(off_us: int) -> None:
+    """A wrong copy 2 ms before or after the right one takes nothing from it; so does one nearer in place alone."""
+    beacon = Sent()
+    end = beacon.ends(UNTIL_US)[100]
+    said = Said().all_of(beacon, UNTIL_US).add(end + off_us, 43)
+    said.rows = [(*row[:4], row[4] + (2.0 if row[0] == end else 0.0), row[5]) for row in said.rows]
+    counts, _ = run([*truth([beacon], UNTIL_US), *said.messages()])
+    assert (counts["right/seed11"], counts["wrong/seed11"], counts["insertions/seed11"]) == (FRAMES, 0, 1)
+
+
 @pytest.mark.parametrize(("late_us", "matches"), [(5_500, True), (5_501, False), (-5_500, True), (-5_501, False)])
 def test_the_end_matches_within_half_a_frame(late_us: int, matches: bool) -> None:
     end = Sent().ends(UNTIL_US)[100]
@@ -121,7 +132,7 @@ FRAME_COLUMNS = (
 
 
 @pytest.mark.parametrize(
-    ("radius_px", "off_px", "matches"), [(3.0, 5.0, True), (3.0, 5.1, False), (8.0, 8.0, True), (8.0, 8.1, False)]
+    ("radius_px", "off_px", "matches"), [(3.0, 5.0, True), (3.0, 5.01, False), (8.0, 8.0, True), (8.0, 8.01, False)]
 )
 def test_the_place_matches_within_five_pixels_or_the_radius(radius_px: float, off_px: float, matches: bool) -> None:
     beacon = Sent(radius_px=radius_px)
@@ -283,6 +294,17 @@ def test_another_beacon_on_the_same_track_is_another_sighting() -> None:
     _, core = run([*states, *Said().all_of(Sent(), UNTIL_US).messages()])
     newest = {(r.track, r.first_us): r for r in core.take_rows() if isinstance(r, SightingRow)}
     assert [(r.beacon, r.ended) for r in newest.values()] == [("crane", True), ("lift", True)]
+
+
+def test_an_identity_that_is_accepted_anew_is_another_sighting() -> None:
+    """Its `lost` never came; the new `since_us` tells."""
+    states = [state(55_000), state(700_000), state(800_000, "refreshed", since_us=700_000)]
+    _, core = run([*states, *Said().all_of(Sent(), UNTIL_US).messages()])
+    newest = {(r.track, r.first_us): r for r in core.take_rows() if isinstance(r, SightingRow)}
+    assert [(r.first_us, r.last_us, r.ended) for r in newest.values()] == [
+        (55_000, 55_000, True),
+        (700_000, 800_000, True),
+    ]
 
 
 def test_without_truth_there_are_counts_and_no_score() -> None:

@@ -57,6 +57,8 @@ def test_a_row_of_the_same_key_replaces_the_older_one(tmp_path: Path) -> None:
     store = store_of(path, FakeClock())
     sighting = ("cam0", 0, "t-0", "crane", "seed11", 5)
     rows: list[Row] = [
+        count(0, 3),
+        count(0, 4),
         SightingRow(*sighting, 100, 1.0, 2.0, 3.0, 4.0, 7, False),
         SightingRow(*sighting, 200, 1.0, 2.0, 5.0, 6.0, 9, True),
         AcquisitionRow("cam0", 0, "crane", 0, 100, None, None),
@@ -70,6 +72,7 @@ def test_a_row_of_the_same_key_replaces_the_older_one(tmp_path: Path) -> None:
         assert connection.execute("SELECT last_us, frames, ended FROM sighting").fetchall() == [(200, 9, 1)]
         assert connection.execute("SELECT lasted_us, acquired_us FROM acquisition").fetchall() == [(900, 80)]
         assert connection.execute("SELECT value FROM health").fetchall() == [(2.0,)]
+        assert connection.execute("SELECT n FROM count").fetchall() == [(4,)]
 
 
 def test_two_starts_of_a_sink_are_two_runs(tmp_path: Path) -> None:

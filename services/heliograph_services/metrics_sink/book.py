@@ -219,8 +219,6 @@ class Book:
                 self._refusals[Refusal.TIME_BACKWARDS] += 1
             else:
                 truths.append(truth)
-        if second in self._frames:
-            self._frames[second].sort(key=_order)
         near = [frame for s in (second - 1, second, second + 1) for frame in self._frames.get(s, ())]
         near.sort(key=_order)
         self._scorer.match(truths, near, self._count(second))
