@@ -6,11 +6,12 @@ Events, body on the wire (little-endian, struct of arrays: 8.1 bytes an event)::
     n int, dt_us bytes(4 n: u4, t - t0_us),
     x_px bytes(2 n: u2), y_px bytes(2 n: u2), on bytes(ceil(n / 8): bits, LSB first)
 
-Onsets, body on the wire (6 bytes an active pixel and tick, 2 a tick)::
+Onsets, body on the wire (6 bytes an active pixel and tick, 2 a tick, before compression; about 2 and 1 after it)::
 
     camera, stream, width, height, t0_us, t1_us, end as above, tick_us int, pool_px int,
-    n int, per_tick bytes(2 k: u2, active pixels of each of the k = (t1 - t0) / tick ticks; their sum is n),
-    x_px bytes(2 n: u2), y_px bytes(2 n: u2), on_count bytes(n: u1), off_count bytes(n: u1)
+    n int, columns bytes: zlib of, one after another,
+        per_tick 2 k: u2, active pixels of each of the k = (t1 - t0) / tick ticks; their sum is n
+        x_px 2 n: u2, y_px 2 n: u2, on_count n: u1, off_count n: u1
 
 `t1_us` is a watermark: with this message everything before t1_us has been delivered. A message may be empty: it then
 says that the camera saw nothing. `stream` names one run of a camera: when it changes, time starts anew.
@@ -18,6 +19,7 @@ says that the camera saw nothing. `stream` names one run of a camera: when it ch
 
 from __future__ import annotations
 
+import zlib
 from typing import Annotated, Any, ClassVar, Final, Self
 
 import msgspec
@@ -32,6 +34,8 @@ from heliograph.messages import WINDOW_LIMIT_US, Message, Name, Side, TimeUs
 # the fastest sensor puts into one window, and refuse beyond.
 EVENTS_LIMIT: Final = 4_000_000
 TICKS_LIMIT: Final = 65_535
+# The fastest level: neighbours in a blob share most of their bytes, and more effort gains a tenth.
+ZLIB_LEVEL: Final = 1
 
 Counts = npt.NDArray[np.uint8]
 
@@ -64,11 +68,19 @@ class _OnsetsBody(_Window, frozen=True, kw_only=True):
     tick_us: Annotated[int, Meta(ge=1, le=1_000_000)]
     pool_px: Annotated[int, Meta(ge=1, le=64)]
     n: Annotated[int, Meta(ge=0, le=EVENTS_LIMIT)]
-    per_tick: bytes
-    x_px: bytes
-    y_px: bytes
-    on_count: bytes
-    off_count: bytes
+    columns: bytes
+
+
+def _inflated(packed: bytes, wanted: int) -> bytes:
+    """Return the columns; at most one byte more than wanted is ever unpacked."""
+    unpacker = zlib.decompressobj()
+    try:
+        raw = unpacker.decompress(packed, wanted + 1)
+    except zlib.error as error:
+        raise ValueError(f"columns are no zlib stream: {error}") from None
+    if len(raw) != wanted or not unpacker.eof or unpacker.unused_data:
+        raise ValueError(f"columns must unpack to {wanted} bytes, not {len(raw)}{'' if unpacker.eof else ' or more'}")
+    return raw
 
 
 def _array(name: str, raw: bytes, dtype: str, n: int) -> npt.NDArray[Any]:
@@ -185,11 +197,18 @@ class Onsets(Message, frozen=True, kw_only=True):
             "tick_us": self.tick_us,
             "pool_px": self.pool_px,
             "n": len(self.tick),
-            "per_tick": per_tick.astype("<u2").tobytes(),
-            "x_px": self.x_px.astype("<u2", copy=False).tobytes(),
-            "y_px": self.y_px.astype("<u2", copy=False).tobytes(),
-            "on_count": self.on_count.tobytes(),
-            "off_count": self.off_count.tobytes(),
+            "columns": zlib.compress(
+                b"".join(
+                    (
+                        per_tick.astype("<u2").tobytes(),
+                        self.x_px.astype("<u2", copy=False).tobytes(),
+                        self.y_px.astype("<u2", copy=False).tobytes(),
+                        self.on_count.tobytes(),
+                        self.off_count.tobytes(),
+                    )
+                ),
+                ZLIB_LEVEL,
+            ),
         }
 
     @classmethod
@@ -204,11 +223,14 @@ class Onsets(Message, frozen=True, kw_only=True):
         span = raw.t1_us - raw.t0_us
         if span % raw.tick_us or raw.t0_us % raw.tick_us or span // raw.tick_us > TICKS_LIMIT:
             raise ValueError(f"window [{raw.t0_us}, {raw.t1_us}) must hold whole ticks of {raw.tick_us} us")
-        per_tick = _array("per_tick", raw.per_tick, "<u2", span // raw.tick_us)
+        ticks, n = span // raw.tick_us, raw.n
+        columns = _inflated(raw.columns, 2 * ticks + 6 * n)
+        per_tick = np.frombuffer(columns, "<u2", ticks)
         if int(per_tick.sum(dtype=np.int64)) != raw.n:
             raise ValueError(f"per_tick must add up to n = {raw.n}, not {per_tick.sum(dtype=np.int64)}")
-        x_px = _array("x_px", raw.x_px, "<u2", raw.n).astype(np.uint16, copy=False)
-        y_px = _array("y_px", raw.y_px, "<u2", raw.n).astype(np.uint16, copy=False)
+        at = 2 * ticks
+        x_px = np.frombuffer(columns, "<u2", n, at).astype(np.uint16, copy=False)
+        y_px = np.frombuffer(columns, "<u2", n, at + 2 * n).astype(np.uint16, copy=False)
         # As Python's integers: 16 bits would wrap, and let a far pixel pass.
         if raw.n and (int(x_px.max()) * raw.pool_px >= raw.width or int(y_px.max()) * raw.pool_px >= raw.height):
             raise ValueError(f"({x_px.max()}, {y_px.max()}) lies outside {raw.width}x{raw.height}")
@@ -224,8 +246,8 @@ class Onsets(Message, frozen=True, kw_only=True):
             tick=np.repeat(np.arange(len(per_tick), dtype=np.uint16), per_tick),
             x_px=x_px,
             y_px=y_px,
-            on_count=_array("on_count", raw.on_count, "u1", raw.n),
-            off_count=_array("off_count", raw.off_count, "u1", raw.n),
+            on_count=np.frombuffer(columns, np.uint8, n, at + 4 * n),
+            off_count=np.frombuffer(columns, np.uint8, n, at + 5 * n),
             end=raw.end,
         )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zlib
 from pathlib import Path
 
 import msgpack
@@ -43,7 +44,25 @@ def envelope(message: Message, **changes: object) -> bytes:
 
 def test_golden_bytes_of_every_schema_are_what_they_were() -> None:
     golden = json.loads(GOLDEN.read_text())
-    assert {m.SCHEMA: pack(header_of(m), m).hex() for m in every_record()} == golden
+    packed = {m.SCHEMA: pack(header_of(m), m).hex() for m in every_record()}
+    # Two versions of zlib may pack the same columns differently: onsets are golden as they are read.
+    packed.pop("onsets")
+    assert packed == {name: text for name, text in golden.items() if name != "onsets"}
+
+
+def test_golden_bytes_are_read_as_the_records_that_they_were_made_from() -> None:
+    golden = json.loads(GOLDEN.read_text())
+    for message in every_record():
+        header, back = opened(bytes.fromhex(golden[message.SCHEMA]))
+        assert header == header_of(message)
+        assert pack_body(back) == pack_body(message)
+
+
+def test_columns_that_unpack_to_more_than_they_should_are_refused_unread() -> None:
+    body = every_record()[1].to_body()
+    bomb = zlib.compress(bytes(10_000_000))
+    for columns in (bomb, b"", b"no zlib", body["columns"] + b"x", body["columns"][:-1]):
+        assert reason(envelope(every_record()[1], body=body | {"columns": columns})) is Refusal.BAD_BODY
 
 
 def test_every_schema_has_a_record_in_the_golden_file() -> None:

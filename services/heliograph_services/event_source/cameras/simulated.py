@@ -18,6 +18,8 @@ from heliograph_services.event_source.simulation.truth import truth_of
 
 # A scene that sends nothing in its first second is named by its size alone.
 _NAMING_STEPS: Final = US_PER_S // STEP_US
+# The truth goes out once for so much time, at the end of a window: one a window of 2 ms would be 400 kB/s on the bus.
+TRUTH_PERIOD_US: Final = 50_000
 
 
 class SimulatedCamera:
@@ -49,12 +51,16 @@ class SimulatedCamera:
         # Whole windows, at least as long as the duration; 0, which none is numbered, where it has no end.
         windows = -(-round(self._config.duration_s * US_PER_S) // self._config.window_us)
         given = 0
+        told_us = 0  # the truth is out before this time
         while True:
             batch = stream.next()
             for t0_us, t1_us, events in cutter.push(batch, stream.until_us):
                 given += 1
                 end = given == windows
-                truth = truth_of(self._scene, self._config.camera, t0_us, t1_us)
+                truth = None
+                if t1_us - told_us >= TRUTH_PERIOD_US or end:
+                    truth = truth_of(self._scene, self._config.camera, told_us, t1_us)
+                    told_us = t1_us
                 yield Window(t0_us, t1_us, events, self.stream, truth=truth, end=end)
                 if end:
                     return
