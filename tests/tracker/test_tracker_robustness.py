@@ -89,7 +89,8 @@ def test_targets_by_the_thousand_are_bounded() -> None:
         out += core.feed(
             Onsets(
                 camera="cam0", stream="dots", width=1280, height=720, t0_us=k * 5000, t1_us=(k + 1) * 5000,
-                tick_us=5000, pool_px=1, tick=np.zeros(len(x_px), np.uint16), x_px=x_px, y_px=y_px, on_count=count, off_count=count,
+                tick_us=5000, pool_px=1, tick=np.zeros(len(x_px), np.uint16),
+                x_px=x_px, y_px=y_px, on_count=count, off_count=count,
             )
         )  # fmt: skip
     assert len(out[-1].track) == 50  # type: ignore[attr-defined]
