@@ -51,7 +51,7 @@ def grid_labels(points: Points, eps: float, min_events: int, clusterer: Clustere
     return found
 
 
-@settings(max_examples=150)
+@settings(max_examples=80)
 @given(POINTS, EPS, st.integers(1, 12))
 def test_labels_are_those_of_scikit_learn_with_weights(points: Points, eps: float, min_events: int) -> None:
     cluster = pytest.importorskip("sklearn.cluster")
@@ -62,7 +62,7 @@ def test_labels_are_those_of_scikit_learn_with_weights(points: Points, eps: floa
         assert grid_labels(points, eps, min_events) == wanted
 
 
-@settings(max_examples=100)
+@settings(max_examples=60)
 @given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9)), min_size=1, max_size=120), EPS, st.integers(1, 12))
 def test_labels_of_raw_events_are_those_of_their_pixels_in_the_order_of_first_occurrence(
     events: list[tuple[int, int]], eps: float, min_events: int
@@ -78,7 +78,7 @@ def test_labels_of_raw_events_are_those_of_their_pixels_in_the_order_of_first_oc
     assert [of_pixel[event] for event in events] == wanted
 
 
-@settings(max_examples=100)
+@settings(max_examples=60)
 @given(POINTS, EPS, st.integers(1, 12))
 def test_labels_are_those_of_the_definition(points: Points, eps: float, min_events: int) -> None:
     x, y, w = (np.array([p[i] for p in points], np.int64) for i in range(3))
