@@ -67,6 +67,10 @@ def test_a_late_track_costs_no_frame_since_its_birth() -> None:
     out = run(decoder, batch, [(390_000, tracks(300_000, [("t-0", disc, 55_000)], speed=0.6))], 400_000)
     ends = [t for one in out if isinstance(one, Frames) for t in one.t_us]
     assert [round(t / FRAME_US) for t in ends] == list(range(6, 40))
+    for one in out:
+        if isinstance(one, Frames):
+            x, y = disc.path(np.array(one.t_us) / 1e6)
+            assert np.all(np.hypot(x - one.x_px, y - one.y_px) < 1.5)
     accepted = states(out, "accepted")
     assert [one.beacon for one in accepted] == ["crane"]
     assert accepted[0].since_us < 90_000

@@ -8,22 +8,40 @@ have heard is given to its receiver first. So a track that arrives late loses no
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from heliograph.errors import Refusals
 from heliograph.events import EventBatch, Flags, Times
-from heliograph_services.decoder.regions import Place, Regions
-from heliograph_services.decoder.routing import NEVER
+from heliograph_services.decoder.regions import Place, Regions, Routed
+from heliograph_services.decoder.routing import NEVER, Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trail:
+    """Where a track was before it was known: centres (px) at rising times, one a window."""
+
+    t_us: Times
+    x_px: Floats
+    y_px: Floats
+
+    def at(self, t_us: int, otherwise: Place) -> Place:
+        """Return the place at t_us, interpolated; behind the trail's end, what is otherwise known."""
+        if not len(self.t_us) or t_us > int(self.t_us[-1]):
+            return otherwise
+        x_px = float(np.interp(t_us, self.t_us, self.x_px))
+        y_px = float(np.interp(t_us, self.t_us, self.y_px))
+        return replace(otherwise, x_px=x_px, y_px=y_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Heard:
-    """What a track would have heard, and where that leads it now."""
+    """What a track would have heard, along which trail, and where that leads it now."""
 
     t_us: Times
     on: Flags
+    trail: Trail
     now: Place
     centred_us: int
 
@@ -32,6 +50,12 @@ class Heard:
 class _Window:
     t0_us: int
     batch: EventBatch
+
+
+@dataclass(frozen=True, slots=True)
+class _Passed:
+    pieces: list[Routed]
+    trail: list[tuple[int, Floats]]
 
 
 class Backlog:
@@ -77,41 +101,47 @@ class Backlog:
             refusals: where events off the sensor would be counted; they have been, so it is the caller's scratch.
         """
         n = len(places)
+        never = [NEVER] * n
         pivot_us = min(as_of_us - (as_of_us - now_us) % self._window_us, now_us)
         start = [at.after(pivot_us - as_of_us) for at in places]
-        never = [NEVER] * n
-        pieces: list[list[tuple[Times, Flags]]] = [[] for _ in range(n)]
+        earlier = [w for w in self._windows if min(born_us) - self._window_us < w.t0_us < pivot_us]
+        later = [w for w in self._windows if w.t0_us >= pivot_us]
 
         regions.load(start, never, pivot_us)
-        for window in reversed(self._windows):
-            if window.t0_us >= pivot_us:
-                continue
-            if window.t0_us + self._window_us <= min(born_us):
-                break
-            regions.advance(window.t0_us - regions.now_us)
-            routed = regions.route(window.batch, self._window_us, refusals)
-            regions.follow(routed, -self._window_us)
-            for i in range(n):
-                pieces[i].append(routed.of(i))
-        for piece in pieces:
-            piece.reverse()
+        before = self._pass(regions, earlier[::-1], -self._window_us, refusals)
+        before.pieces.reverse()
+        before.trail.reverse()
 
         centred = [NEVER if regions.centred_us(i) == NEVER else pivot_us for i in range(n)]
         regions.load(start, centred, pivot_us)
-        for window in self._windows:
-            if window.t0_us < pivot_us:
-                continue
-            regions.advance(window.t0_us - regions.now_us)
-            routed = regions.route(window.batch, self._window_us, refusals)
-            regions.follow(routed, self._window_us)
-            for i in range(n):
-                pieces[i].append(routed.of(i))
+        after = self._pass(regions, later, self._window_us, refusals)
         regions.advance(now_us - regions.now_us)
-        return [self._heard(pieces[i], born_us[i], regions, i) for i in range(n)]
+
+        trail = [*before.trail, (pivot_us, np.array([[at.x_px, at.y_px] for at in start]).T), *after.trail]
+        times = np.array([t_us for t_us, _ in trail], np.int64)
+        centres = np.array([xy for _, xy in trail])
+        heard: list[Heard] = []
+        for i in range(n):
+            t_us, on = _joined([routed.of(i) for routed in (*before.pieces, *after.pieces)], born_us[i])
+            path = Trail(times, centres[:, 0, i].copy(), centres[:, 1, i].copy())
+            heard.append(Heard(t_us, on, path, regions.place(i), regions.centred_us(i)))
+        return heard
 
     @staticmethod
-    def _heard(pieces: list[tuple[Times, Flags]], born_us: int, regions: Regions, i: int) -> Heard:
-        t_us = np.concatenate([np.empty(0, np.int64), *(t for t, _ in pieces)])
-        on = np.concatenate([np.empty(0, np.bool_), *(o for _, o in pieces)])
-        first = int(np.searchsorted(t_us, born_us))
-        return Heard(t_us[first:], on[first:], regions.place(i), regions.centred_us(i))
+    def _pass(regions: Regions, windows: list[_Window], window_us: int, refusals: Refusals) -> _Passed:
+        """Follow all regions through the windows, forth or (window_us negative) back."""
+        passed = _Passed([], [])
+        for window in windows:
+            regions.advance(window.t0_us - regions.now_us)
+            routed = regions.route(window.batch, abs(window_us), refusals)
+            regions.follow(routed, window_us)
+            passed.pieces.append(routed)
+            passed.trail.append((regions.now_us, regions.centres()))
+        return passed
+
+
+def _joined(pieces: list[tuple[Times, Flags]], from_us: int) -> tuple[Times, Flags]:
+    t_us = np.concatenate([np.empty(0, np.int64), *(t for t, _ in pieces)])
+    on = np.concatenate([np.empty(0, np.bool_), *(o for _, o in pieces)])
+    first = int(np.searchsorted(t_us, from_us))
+    return t_us[first:], on[first:]

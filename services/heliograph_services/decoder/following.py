@@ -59,7 +59,8 @@ class Following:
 
     def at(self, i: int, t_us: int) -> Place:
         """Return where track i was, or will be, at t_us."""
-        return self.regions.place(i).after(t_us - self.regions.now_us)
+        extrapolated = self.regions.place(i).after(t_us - self.regions.now_us)
+        return self.tracks[i].trail.at(t_us, extrapolated)
 
     def end(self, ended: list[Track]) -> None:
         """Let these tracks go."""
@@ -113,8 +114,8 @@ class Following:
             self._spare, [row.place for row in new], [row.born_us for row in new], as_of_us, now_us, Refusals()
         )
         begun: list[Track] = []
-        for row in new:
-            begun.append(Track(self._serial, row.name, TrackLinks(self._plan)))
+        for row, one in zip(new, heard, strict=True):
+            begun.append(Track(self._serial, row.name, TrackLinks(self._plan), one.trail))
             self._serial += 1
         n = len(self.tracks)
         self.tracks += begun

@@ -130,6 +130,10 @@ class Regions:
         """Return all places at now_us."""
         return [self.place(i) for i in range(self.n)]
 
+    def centres(self) -> routing.Floats:
+        """Return a copy of all centres at now_us, (2, n) px."""
+        return self._state[:2, : self.n].copy()
+
     def centred_us(self, i: int) -> int:
         """Return when region i was last centred on its own events."""
         return int(self._centred_us[i])

@@ -14,6 +14,7 @@ import numpy as np
 
 from heliograph.link.contract import Text
 from heliograph.messages import Identification, Tracks
+from heliograph_services.decoder.backlog import Trail
 from heliograph_services.decoder.config import DecoderConfig
 from heliograph_services.decoder.links import Accepted, TrackLinks
 from heliograph_services.decoder.regions import Place, place
@@ -39,11 +40,13 @@ class Track:
         serial: counts the decoder's tracks; their order everywhere.
         name: the tracker's, on the bus.
         links: its receivers.
+        trail: where it was before it was known.
     """
 
     serial: int
     name: str
     links: TrackLinks
+    trail: Trail
     held: Accepted | None = None
     beacon: str = ""
     told: bool = True  # the newest Tracks message has it
