@@ -1,9 +1,9 @@
 """The pure half of the source: from a camera's windows to the records on the bus.
 
 For each window [t0, t1), in this order: its events, cut at `max_events` (only the last part has the window's end as
-its watermark; the watermark of the others is the time of the next part's first event); the onsets of the ticks that
-became complete, ticks being anchored at multiples of tick_us; the truth, where the camera knows it. A window without
-events still yields its empty records: a lone beacon never waits for noise to push it on.
+its watermark; the watermark of the others is the time of the next part's first event); once in onsets_us the onsets of
+the ticks that became complete, both anchored at their multiples on the camera's clock; the truth, where the camera
+knows it. A window without events still yields its empty records: a lone beacon never waits for noise to push it on.
 """
 
 from __future__ import annotations
@@ -113,10 +113,13 @@ class SourceCore:
         return parts
 
     def _onsets(self, window: Window) -> Onsets | None:
-        """Return the ticks that this window completes; the end of the stream completes the one it lies in."""
+        """Return the ticks since the last, once they fill a message; the end of the stream completes its last tick."""
         tick_us = self._config.tick_us
         t0_us = self._onsets_t1_us
-        t1_us = floor_to(window.t1_us + (tick_us - 1 if window.end else 0), tick_us)
+        if window.end:
+            t1_us = floor_to(window.t1_us + tick_us - 1, tick_us)
+        else:
+            t1_us = max(t0_us, floor_to(window.t1_us, self._config.onsets_us))
         self._pending.append(window.batch)
         if t1_us == t0_us and not window.end:
             return None
