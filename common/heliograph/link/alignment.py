@@ -29,6 +29,7 @@ from heliograph.link.state import (
     EVENTS,
     HARD,
     LAST_END,
+    NEXT_ONE,
     OCCLUSION,
     OFF_GRID,
     OUT,
@@ -64,7 +65,7 @@ OFF_GRID_EVENTS: Final = 8
 EDGES_LEAST: Final = 1.5
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def place(state: State) -> bool:
     """Take note of the slot that is closing (ints[SLOT]); return whether the model has learned from a frame."""
     ints, sums = state.ints, state.sums
@@ -94,7 +95,7 @@ def place(state: State) -> bool:
     return _align(m, state)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _align(m: int, state: State) -> bool:
     """Take the position of slot m, and decide the frames at it that the search passed over."""
     n = state.words.shape[1]
@@ -111,17 +112,17 @@ def _align(m: int, state: State) -> bool:
     return taught
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _search(m: int, state: State) -> None:
     n = state.words.shape[1]
     if _dark(m, state):
         return
     verdict = np.empty(VERDICT_FIELDS)
-    decide(state.ring, m - n, state.words, verdict)
+    decide(state.ring, m - n, state.words, state.floats[NEXT_ONE], verdict)
     state.sums[m % n] = DECAY * state.sums[m % n] + max(verdict[EVIDENCE], MISS)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _dark(m: int, state: State) -> bool:
     """Return whether the frame that ends at slot m shows fewer transitions than any word has: the light is hidden."""
     edges = 0.0
@@ -130,7 +131,7 @@ def _dark(m: int, state: State) -> bool:
     return edges < EDGES_LEAST
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _record(m: int, code: float, score: float, margin: float, state: State) -> None:
     record = state.out[state.ints[OUT]]
     record[OUT_END] = state.facts[m % RING, AT]
@@ -141,7 +142,7 @@ def _record(m: int, code: float, score: float, margin: float, state: State) -> N
     state.ints[OUT] += 1
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _settle(m: int, state: State) -> tuple[float, bool]:
     """Publish or refuse the frame that ends at slot m; return its evidence (0 if it says nothing), and if it taught."""
     n = state.words.shape[1]
@@ -149,7 +150,7 @@ def _settle(m: int, state: State) -> tuple[float, bool]:
     if state.facts[m % RING, AT] < state.floats[LAST_END] + n - 0.5:
         return 0.0, False
     verdict = np.empty(VERDICT_FIELDS)
-    decide(state.ring, m - n, state.words, verdict)
+    decide(state.ring, m - n, state.words, state.floats[NEXT_ONE], verdict)
     evidence = max(verdict[EVIDENCE], MISS)
     if verdict[SCORE] < ACCEPT:
         code = _reason(m, state)
@@ -165,7 +166,7 @@ def _settle(m: int, state: State) -> tuple[float, bool]:
     return evidence, True
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _reason(m: int, state: State) -> float:
     """Return why the frame that ends at slot m is refused."""
     n = state.words.shape[1]
@@ -189,7 +190,7 @@ def _reason(m: int, state: State) -> float:
     return float(HARD - word)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def give_up(state: State) -> None:
     """Refuse the frames of a search that found no alignment, as its best position reads them."""
     if state.ints[ALIGNED] >= 0:
@@ -200,7 +201,7 @@ def give_up(state: State) -> None:
     oldest = max(n, m - state.ints[SEARCHED], m - RING + n + 1)
     verdict = np.empty(VERDICT_FIELDS)
     for end in range(oldest + (r - oldest) % n, m, n):
-        decide(state.ring, end - n, state.words, verdict)
+        decide(state.ring, end - n, state.words, state.floats[NEXT_ONE], verdict)
         code = _reason(end, state)
         if verdict[SCORE] >= ACCEPT:
             word = 0

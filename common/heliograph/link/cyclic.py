@@ -184,7 +184,7 @@ class CyclicReceiver:
         t = (self._held_t[:stop] - origin_us) / self._bit_us
         clock.grid(t, self._held_on[:stop], f, (end_us - origin_us) / self._bit_us, self._found, self._folded)
         last = -1e9 if self._frame_end_us is None else (self._frame_end_us - origin_us) / self._bit_us
-        state.start(self._state, self._folded, self._found, last, self._code.longest_run)
+        state.start(self._state, self._folded, self._found, last, self._code)
         self._origin_us = origin_us
         self._locks += 1
         return True

@@ -9,16 +9,19 @@ Times are in nominal bits since the lock's origin, as float64.
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Callable
+from typing import Final, cast
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
-from heliograph.link import response
+from heliograph.events import Flags
+from heliograph.link import alignment, clock, likelihood, response
+from heliograph.link import state as state_module
 from heliograph.link.alignment import give_up, place
 from heliograph.link.clock import CLOCK_LIMIT, GAIN_END, GAIN_SLOTS, GAIN_START, SUB, Floats
 from heliograph.link.likelihood import slot
+from heliograph.link.stamp import stamp
 from heliograph.link.state import (
     AT,
     BOUNDARY,
@@ -56,40 +59,7 @@ FULL: Final = 1
 LOST: Final = 2
 
 
-@numba.njit(cache=True, nogil=True)
-def advance(t: Floats, on: npt.NDArray[np.bool_], until: float, state: State) -> tuple[int, int]:
-    """Take events, and the word that none is left before `until`.
-
-    Args:
-        t: (n,) times, not falling.
-        on: (n,) polarities.
-        until: there are no more events before this time.
-        state: of the track.
-
-    Returns:
-        DONE, FULL (empty `state.out`, call again) or LOST (the clock), and how many events were taken.
-    """
-    floats, ints = state.floats, state.ints
-    i = 0
-    n = len(t)
-    while True:
-        close = floats[BOUNDARY] + 0.5 * floats[PERIOD]
-        while i < n and t[i] < close:
-            p = 1 if on[i] else 0
-            offset = t[i] - floats[BOUNDARY]
-            k = min(max(int((offset / floats[PERIOD] + 0.5) * SUB), 0), SUB - 1)
-            state.counts[ints[SLOT] % RING, p, k] += 1
-            i += 1
-        if i == n and until < close:
-            return DONE, i
-        if _close(state):
-            give_up(state)
-            return LOST, i
-        if ints[OUT] >= OUT_FULL:
-            return FULL, i
-
-
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _close(state: State) -> bool:
     """Close the open slot and open the next; return whether the clock is lost."""
     floats, ints = state.floats, state.ints
@@ -119,12 +89,12 @@ def _close(state: State) -> bool:
     return bool(abs(floats[PERIOD] - 1.0) > CLOCK_LIMIT)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _steer(state: State, at: int) -> float:
     """Steer the period by the slot's transition; return by how much the next boundary moves besides."""
-    floats, ints, likelihood = state.floats, state.ints, state.ring[at]
-    whole = likelihood[0] + likelihood[1] + likelihood[2] + likelihood[3]
-    rise, fall = likelihood[response.RISE] / whole, likelihood[response.FALL] / whole
+    floats, ints, x = state.floats, state.ints, state.ring[at]
+    whole = x[0] + x[1] + x[2] + x[3]
+    rise, fall = x[response.RISE] / whole, x[response.FALL] / whole
     state.facts[at, EDGE] = rise + fall
     if max(rise, fall) < SURE:
         ints[SILENT] += 1
@@ -146,3 +116,49 @@ def _steer(state: State, at: int) -> float:
     gain = GAIN_START if ints[EDGES] < GAIN_SLOTS else GAIN_END
     floats[PERIOD] += 0.25 * gain * gain * error
     return float(gain * error)
+
+
+def _entry(sources: int) -> Callable[[Floats, Flags, float, State], tuple[int, int]]:
+    """Return `advance`, cached under these sources (`heliograph.link.stamp`)."""
+
+    @numba.njit(cache=True, nogil=True)
+    def kernel(t: Floats, on: Flags, until: float, state: State) -> tuple[int, int]:
+        floats, ints = state.floats, state.ints
+        i = 0
+        n = len(t) if sources >= 0 else 0
+        while True:
+            close = floats[BOUNDARY] + 0.5 * floats[PERIOD]
+            while i < n and t[i] < close:
+                p = 1 if on[i] else 0
+                offset = t[i] - floats[BOUNDARY]
+                k = min(max(int((offset / floats[PERIOD] + 0.5) * SUB), 0), SUB - 1)
+                state.counts[ints[SLOT] % RING, p, k] += 1
+                i += 1
+            if i == n and until < close:
+                return DONE, i
+            if _close(state):
+                give_up(state)
+                return LOST, i
+            if ints[OUT] >= OUT_FULL:
+                return FULL, i
+
+    return cast("Callable[[Floats, Flags, float, State], tuple[int, int]]", kernel)
+
+
+_KERNEL: Final = _entry(stamp(alignment, clock, likelihood, response, state_module))
+
+
+def advance(t: Floats, on: Flags, until: float, state: State) -> tuple[int, int]:
+    """Take events, and the word that none is left before `until`.
+
+    Args:
+        t: (n,) times, not falling.
+        on: (n,) polarities.
+        until: there are no more events before this time.
+        state: of the track.
+
+    Returns:
+        DONE, FULL (empty `state.out`, call again) or LOST (the clock), and how many events were taken.
+    """
+    outcome, taken = _KERNEL(t, on, until, state)
+    return int(outcome), int(taken)

@@ -4,14 +4,16 @@ Slots. The Poisson likelihoods of a slot (`heliograph.link.response`) trust the 
 lost (occlusion, a full bus) and bursts come from elsewhere. So each becomes a mixture, and a floor bounds what a single
 slot can say::
 
+    l_dark, l_lit differ by no more than LEVEL
     l_edge <- (1 - MISSED) l_edge + MISSED mean(l_dark, l_lit)
     l_flat <- (1 - SPURIOUS) l_flat + SPURIOUS mean(l_rise, l_fall)
     l_x    <- max(l_x / max_y l_y, FLOOR)
 
 Words. A frame of bits b_0 .. b_n-1 has n + 1 slots; the bits before and after it are unknown (another frame, perhaps
-with another payload), so both are averaged over::
+with another payload), so both are averaged over. w_1 is one half, or NEXT where every frame begins with a one: the next
+frame's start is the protocol's, not another payload's::
 
-    L(b) = mean_a l_0[a, b_0] * prod_i=1..n-1 l_i[b_i-1, b_i] * mean_a l_n[b_n-1, a]
+    L(b) = mean_a l_0[a, b_0] * prod_i=1..n-1 l_i[b_i-1, b_i] * sum_a w_a l_n[b_n-1, a]
 
 Sureness. Either a frame of the code was sent, each word as likely (prior 1 - OTHER), or n arbitrary bits (OTHER)::
 
@@ -35,10 +37,14 @@ from heliograph.link.clock import Floats
 # limit does. Ten times more of either costs under one decibel; ten times less lets one slot overrule a frame.
 MISSED: Final = 0.01
 SPURIOUS: Final = 0.001
+# The level alone (a lit LED that moves makes events, a dark one none) says at most 3 nats a slot: motion may cease.
+LEVEL: Final = 0.05
 # exp(-10): two slots of contrary evidence are never outweighed by one more.
 FLOOR: Final = 4.5e-5
 # A tenth of all windows that reach a decision are no frame of this code (foreign light, a wrong alignment).
 OTHER: Final = 0.1
+# A beacon sends frame after frame; one in twenty is followed by darkness.
+NEXT: Final = 0.95
 # Below this share of the best word's likelihood a word no longer matters to the sum (522 words: 5e-5 of it).
 NEGLIGIBLE: Final = 1e-7
 
@@ -49,12 +55,13 @@ EVIDENCE: Final = 3  # nats for a frame here against arbitrary bits here
 VERDICT_FIELDS: Final = 4
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def slot(loglikelihood: Floats, out: Floats) -> None:
     """Set out (4,) to the slot's tempered likelihoods, the largest 1."""
     top = max(loglikelihood[0], loglikelihood[1], loglikelihood[2], loglikelihood[3])
     dark, rise = np.exp(loglikelihood[0] - top), np.exp(loglikelihood[1] - top)
     fall, lit = np.exp(loglikelihood[2] - top), np.exp(loglikelihood[3] - top)
+    dark, lit = max(dark, LEVEL * lit), max(lit, LEVEL * dark)
     flat, edge = 0.5 * (dark + lit), 0.5 * (rise + fall)
     out[0] = (1.0 - SPURIOUS) * dark + SPURIOUS * edge
     out[1] = (1.0 - MISSED) * rise + MISSED * flat
@@ -65,21 +72,23 @@ def slot(loglikelihood: Floats, out: Floats) -> None:
         out[x] = max(out[x] / top, FLOOR)
 
 
-@numba.njit(cache=True, nogil=True)
-def decide(ring: Floats, first: int, words: npt.NDArray[np.uint8], verdict: Floats) -> None:
+@numba.njit(nogil=True)
+def decide(ring: Floats, first: int, words: npt.NDArray[np.uint8], next_one: float, verdict: Floats) -> None:
     """Decide the frame whose first slot is `first` (mod the ring's length).
 
     Args:
         ring: (slots, 4) tempered likelihoods.
         first: index of the slot of the frame's beginning.
         words: (W, n) bits.
+        next_one: w_1.
         verdict: (VERDICT_FIELDS,) out.
     """
     size = ring.shape[0]
     count, n = words.shape
     opening, closing = ring[first % size], ring[(first + n) % size]
     begin0, begin1 = 0.5 * (opening[0] + opening[2]), 0.5 * (opening[1] + opening[3])
-    end0, end1 = 0.5 * (closing[0] + closing[1]), 0.5 * (closing[2] + closing[3])
+    end0 = (1.0 - next_one) * closing[0] + next_one * closing[1]
+    end1 = (1.0 - next_one) * closing[2] + next_one * closing[3]
     best, runner_up, total, which = 0.0, 0.0, 0.0, 0
     for w in range(count):
         word = words[w]
@@ -105,7 +114,7 @@ def decide(ring: Floats, first: int, words: npt.NDArray[np.uint8], verdict: Floa
     verdict[EVIDENCE] = np.log(total / count / anything)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def plain_bits(ring: Floats, first: int, n: int) -> tuple[int, float]:
     """Return the most likely n bits of any kind, as a word, and their share of all likelihood (Viterbi)."""
     size = ring.shape[0]

@@ -70,14 +70,19 @@ def start(folded: Floats, slots: float, rate: Floats, seen: npt.NDArray[np.int64
             rate[RISE if p == 1 else FALL, p, k] += smooth / RISES_A_SLOT
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def learn(x: int, counts: npt.NDArray[np.int32], rate: Floats, seen: npt.NDArray[np.int64]) -> None:
     """Move the rates of x towards the counts (2, SUB) of one slot."""
     share = max(1.0 / (PRIOR_SLOTS + seen[x]), 1.0 / MEMORY_SLOTS)
     seen[x] += 1
+    # Dark and lit begin with the same guess. Until a level has been seen often, it follows the other: a level seen less
+    # would else keep the guess longer, and that difference would be taken for a sign of the level.
+    other = DARK + LIT - x
+    along = share * PRIOR_SLOTS / (PRIOR_SLOTS + seen[other]) if x in (DARK, LIT) else 0.0
     for p in range(2):
         for k in range(SUB):
             rate[x, p, k] += share * (counts[p, k] - rate[x, p, k])
+            rate[other, p, k] += along * (counts[p, k] - rate[other, p, k])
 
 
 @numba.njit(cache=True, nogil=True)
@@ -136,7 +141,7 @@ def tabulate(
     figures[2] = outside
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def loglikelihoods(counts: npt.NDArray[np.int32], logs: Floats, total: Floats, out: Floats) -> None:
     """Set out (4,) to log L_x of one slot's counts (2, SUB), up to a constant."""
     for x in range(4):

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from heliograph.link import response
 from heliograph.link.clock import SUB, Floats
 from heliograph.link.frames import CyclicCode, bits_of
+from heliograph.link.likelihood import NEXT
 
 Ints = npt.NDArray[np.int64]
 
@@ -26,7 +27,8 @@ HALF: Final = 2  # mu_on = -mu_off
 JITTER2: Final = 3  # mean square of the timing error e
 LAST_END: Final = 4  # end of the last published frame
 TRUST: Final = 5  # A of the aligned position
-FLOATS: Final = 6
+NEXT_ONE: Final = 6  # how likely the bit after a frame is a one
+FLOATS: Final = 7
 
 # Places in `ints`.
 SLOT: Final = 0  # slots closed since the lock
@@ -118,7 +120,7 @@ def new_state(code: CyclicCode) -> State:
     )
 
 
-def start(state: State, folded: Floats, found: Floats, last_end: float, longest_run: int) -> None:
+def start(state: State, folded: Floats, found: Floats, last_end: float, code: CyclicCode) -> None:
     """Begin with a new lock.
 
     Args:
@@ -126,12 +128,14 @@ def start(state: State, folded: Floats, found: Floats, last_end: float, longest_
         folded: (2, SUB) and
         found: (4,) of `heliograph.link.clock.grid`.
         last_end: end of the last published frame, in bits from the new origin.
-        longest_run: longest legal run of the code.
+        code: its words, as in `new_state`.
     """
-    state.floats[:] = (found[0], found[1], found[2], 0.0, last_end, 0.0)
+    start_code, start_bits = code.start
+    next_one = NEXT if start_bits and start_code >> (start_bits - 1) else 0.5
+    state.floats[:] = (found[0], found[1], found[2], 0.0, last_end, 0.0, next_one)
     state.ints[:] = 0
     state.ints[ALIGNED] = -1
-    state.ints[RUN] = longest_run
+    state.ints[RUN] = code.longest_run
     state.ring[:] = 1.0
     state.facts[:] = 0.0
     state.counts[:] = 0
