@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from heliograph.errors import BusError, HeliographError
+from heliograph.keys import parse
 from heliograph.messages import Data, Frames, Identification
 from heliograph.shell.bus import Bus, connected
 from heliograph.shell.links import client_config
@@ -29,17 +30,18 @@ from heliograph.shell.site import Site, load_site
 from heliograph.site import Beacon
 from heliograph.wire import SCHEMAS
 from heliograph_services.cli.demo_view import Lines, Table, View
-from heliograph_services.cli.plan import plan_of
+from heliograph_services.cli.plan import holding, plan_of
 from heliograph_services.cli.supervision import ProcessState, Supervised, SupervisionError
 
 _NOT_ALL: Final = 1
 _WRONG: Final = 2
 _WAIT_S: Final = 0.05
 _LOOK_S: Final = 0.25
-# Starting five processes with warm kernels takes 3 to 5 s on two cores; a loaded machine may need several times that.
-_GRACE_S: Final = 40.0
+# Starting five processes with warm kernels takes 5 s on two idle cores; compiling first, on a loaded machine, a minute.
+_GRACE_S: Final = 100.0
+_AWAITED: Final = frozenset({"tracker", "decoder", "metrics_sink"})
 # After the source has ended: the decoder's last window, its last refresh, and the metrics sink's last commit.
-_DRAIN_S: Final = 1.5
+_DRAIN_S: Final = 1.0
 # When the tracker is killed: everybody is identified by then, and enough is left to see it come back.
 _KILL_AT: Final = 0.5
 
@@ -103,7 +105,8 @@ def _run(arguments: argparse.Namespace, folder: Path, stop: Stop) -> int:
     tally = Tally()
     kill: Kill | None = None
     start = time.monotonic()
-    supervised = Supervised(plan_of(site, folder))
+    # The camera comes last: what nobody is ready to see would be lost, and counted as unread.
+    supervised = Supervised(holding(plan_of(site, folder), "event_source"))
     supervised.start(follow_parent=True)
     with supervised, view:
         with connected(client_config(site.bus), site.site, f"client/{os.getpid()}", stop) as bus:
@@ -136,34 +139,43 @@ def _follow(
 ) -> Kill | None:
     """Show what arrives until the scene has ended."""
     inbox = bus.subscribe({name: SCHEMAS[name] for name in ("ids", "messages", "frames")})
+    warm: set[str] = set()
+    bus.watch("live", lambda text, present: _note_live(warm, text, present=present))
     kill: Kill | None = None
-    start = now = looked = time.monotonic()
-    deadline = start + arguments.duration + _GRACE_S
-    running_since: float | None = None
-    until = deadline
-    while not stop and now < until:
+    begin = looked = time.monotonic()
+    released: float | None = None
+    until = deadline = begin + arguments.duration + _GRACE_S
+    while not stop and (now := time.monotonic()) < until:
         sample = inbox.get(_WAIT_S)
         opened = bus.open(sample) if sample else None
         if opened is not None:
             _take(opened[1], view, tally)
-        now = time.monotonic()
         if now - looked < _LOOK_S:
             continue
         looked = now
         states = {state.name: state for state in supervised.states()}
         _judge(states, supervised, tally, allow_restarts=kill is not None)
-        source = states["event_source"]
-        if running_since is None and tally.identified:
-            running_since = now
-        if source.ended_well and until == deadline:
+        if released is None:
+            if warm >= _AWAITED:
+                supervised.release()
+                released = now
+            continue
+        if states["event_source"].ended_well and until == deadline:
             until = min(deadline, now + _DRAIN_S)
-        if kill is None and arguments.kill_tracker and running_since and now - start > arguments.duration * _KILL_AT:
-            kill = _kill_tracker(states["tracker"], view, tally)
-        elif kill is not None and kill.back_s is None:
+        if kill is None:
+            if arguments.kill_tracker and tally.identified and now - released > arguments.duration * _KILL_AT:
+                kill = _kill_tracker(states["tracker"], view, tally)
+        elif kill.back_s is None:
             _look_for_tracker(kill, states["tracker"], view, tally)
-    if now >= deadline:
-        raise BusError(f"the scene did not end within {arguments.duration + _GRACE_S:g} s; is this machine overloaded?")
+    if not stop and until == deadline:
+        raise BusError(f"the scene did not end within {deadline - begin:g} s; is this machine overloaded?")
     return kill
+
+
+def _note_live(warm: set[str], text: str, *, present: bool) -> None:
+    found = parse(text)
+    if found is not None and present:
+        warm.add(found.parts[0])
 
 
 def _take(message: object, view: View, tally: Tally) -> None:

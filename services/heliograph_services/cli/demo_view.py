@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
 _TEXT_WIDTH: Final = 24
+_LINE_WIDTH: Final = 60
 
 
 class View(Protocol):
@@ -60,7 +61,7 @@ class Lines:
         name = message.beacon or message.protocol
         text = self._texts.get(name, "") + (message.text if message.text is not None else (message.data or b"").hex())
         self._texts[name] = text
-        if len(text) >= _TEXT_WIDTH:
+        if len(text) >= _LINE_WIDTH:
             self.note(f"{name} says {text!r}")
             self._texts[name] = ""
 

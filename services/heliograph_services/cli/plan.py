@@ -6,7 +6,7 @@ import json
 import os
 import shlex
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -26,12 +26,13 @@ _CONFIG_STATUS: Final = 2
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A process to be: its name here, and what it runs."""
+    """A process to be: its name here, what it runs, and whether it is held back until it is asked for."""
 
     name: str
     kind: str
     instance: str
     command: tuple[str, ...]
+    held: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +71,11 @@ def plan_of(site: Site, run_dir: Path) -> Plan:
     return Plan(f"{site.site}-{site.host}", folder, tuple(programs))
 
 
+def holding(plan: Plan, kind: str) -> Plan:
+    """Return the plan with all processes of a kind held back."""
+    return replace(plan, programs=tuple(replace(p, held=p.held or p.kind == kind) for p in plan.programs))
+
+
 def ini_of(plan: Plan, directory: Path) -> str:
     """Return supervisor's configuration.
 
@@ -99,6 +105,7 @@ def ini_of(plan: Plan, directory: Path) -> str:
             # A short recording may end within the second in which supervisor would call it a failed start.
             f"startsecs={0 if source else START_S}",
             f"startretries={_START_TRIES}",
+            f"autostart={'false' if program.held else 'true'}",
             "autorestart=unexpected",
             f"exitcodes={f'0,{_CONFIG_STATUS}' if source else _CONFIG_STATUS}",
             f"stopwaitsecs={STOP_S}",

@@ -205,6 +205,20 @@ class Supervised:
                 counts[name] = counts.get(name, 0) + 1
         return counts
 
+    def release(self) -> None:
+        """Start the processes that the plan holds back.
+
+        Raises:
+            SupervisionError: the supervisor does not answer, or refuses.
+        """
+        try:
+            with self._remote() as remote:
+                for program in self.plan.programs:
+                    if program.held:
+                        remote.startProcess(program.name, False)
+        except (OSError, http.client.HTTPException, xmlrpc.client.Error) as error:
+            raise SupervisionError(f"{self.plan.title}: cannot start what was held back: {error}") from None
+
     def wait_running(self, timeout_s: float = 60.0) -> list[ProcessState]:
         """Return when all processes run (an event source may have ended well).
 
