@@ -38,7 +38,6 @@ SENDERS: Final = {
     "events": "event_source",
     "onsets": "event_source",
     "truth": "event_source (simulated)",
-    "clock": "event_source",
     "tracks": "tracker",
     "progress": "every service that paces a source",
     "health": "every service",
@@ -55,7 +54,7 @@ CHUNKS: Final = {
     "health": "{service}/{instance}",
     "live": "{service}/{instance}",
 }
-RESERVED: Final = ("flow", "image", "beacon")
+RESERVED: Final = ("flow", "clock", "image", "beacon")
 # The two streams of arrays check their bodies by records of their own.
 BODIES: Final[dict[str, type[msgspec.Struct]]] = {
     "events": streams._EventsBody,  # noqa: SLF001 - the page documents just this
