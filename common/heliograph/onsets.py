@@ -117,9 +117,10 @@ class OnsetCounter:
         on_count, off_count = np.empty(n, np.uint8), np.empty(n, np.uint8)
         # The open gate asks for one event, which every entry has.
         min_events = s.min_events if s.gate == "active" else 1
+        t_us, xs_px, ys_px, on = (_read_only(column) for column in (batch.t_us, batch.x_px, batch.y_px, batch.on))
         kept, gated, flooded, off_sensor = _count(
-            _read_only(batch.t_us), _read_only(batch.x_px), _read_only(batch.y_px), _read_only(batch.on), t0_us, s.tick_us, self._column, self._row, self._stride,
-            min_events, self._counts, self._marks, _BIT_PLACE, tick, x_px, y_px, on_count, off_count,
+            t_us, xs_px, ys_px, on, t0_us, s.tick_us, self._column, self._row, self._stride, min_events,
+            self._counts, self._marks, _BIT_PLACE, tick, x_px, y_px, on_count, off_count,
         )  # fmt: skip
         return OnsetColumns(
             tick[:kept], x_px[:kept], y_px[:kept], on_count[:kept], off_count[:kept], gated, flooded, off_sensor

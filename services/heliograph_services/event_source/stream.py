@@ -57,8 +57,8 @@ class SourceStream:
 
 
 def lockstep_window_us(config: EventSourceConfig) -> int:
-    """Return the window of a lockstep source: whole onset ticks, so that a tracker can finish all of a step."""
-    return -(-max(config.window_us, LOCKSTEP_WINDOW_US) // config.tick_us) * config.tick_us
+    """Return the window of a lockstep source: whole messages of onsets, so that a tracker finishes all of a step."""
+    return -(-max(config.window_us, LOCKSTEP_WINDOW_US) // config.onsets_us) * config.onsets_us
 
 
 def open_stream(config: EventSourceConfig, context: Context) -> SourceStream:

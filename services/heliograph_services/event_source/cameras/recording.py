@@ -15,7 +15,7 @@ import numpy as np
 
 from heliograph.camera import Intrinsics
 from heliograph.core import Context
-from heliograph.errors import ConfigError, FileError, Refusal, Refusals
+from heliograph.errors import ConfigError, FileError, Refusal, Refusals, by_name
 from heliograph.events import EventBatch, concatenate
 from heliograph.units import US_PER_S
 from heliograph_services.event_source.cameras.contract import Window
@@ -74,13 +74,16 @@ class RecordingCamera:
     def _first_events(self) -> EventBatch:
         """Return the events that name the stream."""
         found: list[EventBatch] = []
-        for batch, _ in self._pieces():
+        why = Refusals()
+        for batch, refused in self._pieces():
             found.append(batch)
+            why.update(refused)
             first = concatenate(found)
             if naming_is_complete(first):
                 return first
         if not any(len(batch) for batch in found):
-            raise FileError(f"{self._path}: no events in it")
+            reasons = ", ".join(f"{name} ({n})" for name, n in by_name(why).items())
+            raise FileError(f"{self._path}: no events in it{': ' if reasons else ''}{reasons}")
         return concatenate(found)
 
     def _pieces(self) -> Iterator[Piece]:

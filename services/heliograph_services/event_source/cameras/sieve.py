@@ -1,14 +1,17 @@
 """Keeps of a file's events what a camera can have sent: on the sensor, at a sane time, in order.
 
-An event earlier than one before it is dropped and counted. Cameras and converters do that to a few events at the seams
-of packets; where more than one in a hundred is early, the file is not a recording in order of time, and is refused.
+Where times fall, the fewest events are dropped that leave the rest of the chunk in order (the longest non-decreasing
+subsequence behind the last event kept), and counted: so a time damaged upwards costs one event, not all that follow.
+Cameras and converters put a few events out of order at the seams of packets; where more than one in a hundred is, the
+file is not a recording in order of time, and is refused.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+import numba
 import numpy as np
 
 from heliograph.errors import FileError, Refusal, Refusals
@@ -76,11 +79,11 @@ class Sieve:
         return batch
 
     def _ordered(self, batch: EventBatch, refused: Refusals) -> EventBatch:
-        newest = np.maximum.accumulate(np.concatenate([np.array([self._last_us], np.int64), batch.t_us]))[:-1]
-        good = batch.t_us >= newest
+        before = np.concatenate([np.array([self._last_us], np.int64), batch.t_us])
+        good = _in_order(batch.t_us, self._last_us)
         if not self._first_early:
-            i = int(np.argmin(good))
-            self._first_early = f"{batch.t_us[i]} us after {newest[i]} us"
+            i = int(np.argmax(batch.t_us < before[:-1]))
+            self._first_early = f"{batch.t_us[i]} us after {before[i]} us"
         self._early += len(good) - int(np.count_nonzero(good))
         return self._only(batch, good, Refusal.UNORDERED, refused)
 
@@ -88,3 +91,34 @@ class Sieve:
     def _only(batch: EventBatch, good: Flags, reason: Refusal, refused: Refusals) -> EventBatch:
         refused[reason] += len(good) - int(np.count_nonzero(good))
         return EventBatch(batch.t_us[good], batch.x_px[good], batch.y_px[good], batch.on[good])
+
+
+@numba.njit(cache=True, nogil=True)
+def _in_order(t_us: Any, last_us: int) -> Any:
+    """Return (n,) bool: the longest non-decreasing subsequence of the times that are not before last_us.
+
+    ends[k] is the index at which the subsequence of k + 1 times with the smallest last time ends, before[i] the index
+    before i in the best one that ends at i (patience sorting: n log n).
+    """
+    n = len(t_us)
+    ends, before = np.empty(n, np.int64), np.empty(n, np.int64)
+    length = 0
+    for i in range(n):
+        if t_us[i] < last_us:
+            continue
+        low, high = 0, length
+        while low < high:
+            middle = (low + high) // 2
+            if t_us[ends[middle]] <= t_us[i]:
+                low = middle + 1
+            else:
+                high = middle
+        before[i] = ends[low - 1] if low else -1
+        ends[low] = i
+        length = max(length, low + 1)
+    good = np.zeros(n, np.bool_)
+    i = ends[length - 1] if length else -1
+    while i >= 0:
+        good[i] = True
+        i = before[i]
+    return good

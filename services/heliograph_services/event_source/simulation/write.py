@@ -3,8 +3,8 @@
 Each line has a `type`; fields have the names of `heliograph.truth`, one beacon or frame a line::
 
     scenario   scenario, seed, stream, width, height, duration_us, beacons: [name, protocol, payload, text, bit_rate]
-    beacon     t_us, beacon, protocol, x_px, y_px, radius_px, in_view, visible: a state, every 10 ms
-    visible    beacon, t0_us, t1_us: it could be seen from t0_us to t1_us (to 10 ms)
+    beacon     t_us, beacon, protocol, x_px, y_px, radius_px, in_view, visible: a state, every 50 ms
+    visible    beacon, t0_us, t1_us: it could be seen from t0_us to t1_us (to 50 ms)
     frame      beacon, protocol, frame_t0_us, frame_t1_us, frame_payload, frame_x_px, frame_y_px, frame_visible
     edge       beacon, t_us, on: the LED's change, to a tenth of a microsecond
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from heliograph.errors import FileError, Refusal, Refusals
 from heliograph.events import EventBatch
+from heliograph_services.event_source.cameras.formats.aedat4_header import check_aedat4
 from heliograph_services.event_source.cameras.formats.contract import Chunk, Size, settled_size
 
 T = TypeVar("T")
@@ -49,6 +50,8 @@ class _FaeryReader:
 
     def __init__(self, path: Path, given: Size) -> None:
         self._path = path
+        if self.kind == "aedat":
+            check_aedat4(path)
         try:
             found = _guarded(lambda: self._decoder().dimensions())
         except _Damaged as damage:

@@ -68,9 +68,12 @@ def _loaded(path: Path) -> tuple[Flags, Times, int]:
     except FileError:
         raise
     except Exception as error:  # noqa: BLE001 - scipy raises whatever a damaged file makes it stumble over
-        raise FileError(f"{path}: {type(error).__name__}: {' '.join(str(error).split())[:120]}") from None
-    t_us = np.rint(event_t * US_PER_S)
-    sound = (np.abs(event) == 1) & (np.abs(t_us) <= TIME_LIMIT_US)  # False where it is not a number
+        raise FileError(
+            f"{path}: no sound MATLAB 5 file: {type(error).__name__}: {' '.join(str(error).split())[:120]}"
+        ) from None
+    with np.errstate(all="ignore"):  # what is no number, or too large a one, is sorted out in the next line
+        t_us = np.rint(event_t * US_PER_S)
+        sound = (np.abs(event) == 1) & (np.abs(t_us) <= TIME_LIMIT_US)
     return event[sound] > 0, t_us[sound].astype(np.int64), len(sound) - int(np.count_nonzero(sound))
 
 

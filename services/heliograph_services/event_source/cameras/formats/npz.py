@@ -88,7 +88,9 @@ class _Column:
             version = np.lib.format.read_magic(member)
             read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
             shape, _, dtype = read(member)
-        except ValueError as error:
+        except _DAMAGE:
+            raise
+        except Exception as error:  # noqa: BLE001 - numpy's parser of headers raises what Python's own parsers raise
             raise FileError(f"{path}: {name}: {' '.join(str(error).split())[:120]}") from None
         whole = shape in {(), (1,)} if scalar else len(shape) == 1
         if dtype.kind not in "iub" or not whole:
