@@ -45,12 +45,19 @@ FLOOR: Final = 0.02
 # beside a beacon that comes nearer.
 FORGET: Final = 1.0 - 1.0 / 300.0
 SHRINK_BITS: Final = 4.0
+# A sensor that is read out in scans shows a change at any of several sub-bins, and the few changes seen so far leave
+# gaps between them; a change that then falls into a gap would be impossible. Spread by sqrt(4 / 2) sub-bins = .09 bit,
+# synthetic scans of a fifth of a bit are read without an error from the first character on (0 to 4 errors in 150
+# characters without); more spreading costs little.
+SMOOTHING: Final = 4
 # Overdispersion before anything is learned: a change of level is never believed more than ten independent events
 # (real sensors: F = 3 to 30 at 200 events a change); and how many bits this guess weighs.
-COLD_F: Final = 4.0
 COLD_WITNESSES: Final = 10.0
 COLD_F_BITS: Final = 44.0
 F_MAX: Final = 400.0
+
+_RISES: Final = np.arange(1, CONTEXTS, 4)  # contexts that end in 0 1
+_FALLS: Final = np.arange(2, CONTEXTS, 4)  # and in 1 0
 
 
 def cold_rates(events_per_transition: float) -> Table:
@@ -65,6 +72,20 @@ def cold_rates(events_per_transition: float) -> Table:
         tail = np.exp(-(at + age) / COLD_TAIL_BITS) / COLD_TAIL_BITS / SUB_BINS
         rates[0 if level else 1, context] = tail * events_per_transition
     return rates
+
+
+@numba.njit(cache=True, nogil=True)
+def _smooth(mean: Table) -> None:
+    """Spread each context's events over neighbouring sub-bins, SMOOTHING times by 1/4, 1/2, 1/4, within the bit."""
+    contexts, sub = mean.shape
+    for _ in range(SMOOTHING):
+        for c in range(contexts):
+            left = mean[c, 0]
+            for j in range(sub):
+                here = mean[c, j]
+                right = mean[c, min(j + 1, sub - 1)]
+                mean[c, j] = 0.25 * left + 0.5 * here + 0.25 * right
+                left = here
 
 
 @numba.njit(cache=True, nogil=True)
@@ -84,6 +105,7 @@ def _log_tables(
         mean = cold[q].copy()
         for length in range(2, bits + 1):
             mask = (1 << length) - 1
+            weight_shorter = SHRINK_BITS if length == 2 else shrink
             level_seen[:] = 0.0
             level_sums[:] = 0.0
             for c in range(contexts):
@@ -91,9 +113,10 @@ def _log_tables(
                 for j in range(sub):
                     level_sums[c & mask, j] += sums[q, c, j]
             for c in range(contexts):
-                weight = 1.0 / (level_seen[c & mask] + shrink)
+                weight = 1.0 / (level_seen[c & mask] + weight_shorter)
                 for j in range(sub):
-                    mean[c, j] = (level_sums[c & mask, j] + shrink * mean[c, j]) * weight
+                    mean[c, j] = (level_sums[c & mask, j] + weight_shorter * mean[c, j]) * weight
+        _smooth(mean)
         for c in range(contexts):
             for j in range(sub):
                 value = mean[c, j] + floor
@@ -107,26 +130,36 @@ def _log_tables(
 
 @numba.njit(cache=True, nogil=True)
 def _learn(
-    counts: Counts, start: int, slots: npt.NDArray[np.int64], word: int, bits: int, before: int, seen: Table,
-    sums: Table, rate: Table, f: float,
-) -> float:  # fmt: skip
-    """Add a decided word of `bits` bits; return the summed Pearson residuals (y - lambda)^2 / lambda of its bits."""
+    counts: Counts, start: int, slots: npt.NDArray[np.int64], word: int, before: int, seen: Table, sums: Table
+) -> None:
+    """Add a decided word of as many bits as there are slots."""
     context = before
-    residual = 0.0
+    bits = slots.shape[0]
     for n in range(bits):
         context = ((context << 1) | ((word >> (bits - 1 - n)) & 1)) & (seen.shape[0] - 1)
         at = start + slots[n]
-        total = 0.0
-        expected = 0.0
         for j in range(sums.shape[2]):
-            on, off = counts[at + j, 0], counts[at + j, 1]
-            sums[0, context, j] += on
-            sums[1, context, j] += off
-            total += on + off
-            expected += rate[j, context]
+            sums[0, context, j] += counts[at + j, 0]
+            sums[1, context, j] += counts[at + j, 1]
         seen[context] += 1.0
-        expected *= f
-        residual += (total - expected) ** 2 / expected
+
+
+@numba.njit(cache=True, nogil=True)
+def _residual(
+    counts: Counts, start: int, slots: npt.NDArray[np.int64], word: int, before: int, total: Table, f: float
+) -> float:
+    """Return the summed Pearson residuals (y - lambda)^2 / lambda of a decided word's bits."""
+    context = before
+    bits = slots.shape[0]
+    residual = 0.0
+    for n in range(bits):
+        context = ((context << 1) | ((word >> (bits - 1 - n)) & 1)) & (total.shape[0] - 1)
+        at = start + slots[n]
+        y = 0.0
+        for j in range(SUB_BINS):
+            y += counts[at + j, 0] + counts[at + j, 1]
+        expected = total[context] * f
+        residual += (y - expected) ** 2 / expected
     return residual
 
 
@@ -135,18 +168,20 @@ class StepResponse:
 
     Args:
         events_per_transition: what to expect before anything is learned; > 0.
+        shrink_bits: weight, in bits, of the shorter context against a longer one of three bits or more.
     """
 
-    def __init__(self, events_per_transition: float) -> None:
+    def __init__(self, events_per_transition: float, shrink_bits: float = SHRINK_BITS) -> None:
         self.events_per_transition = events_per_transition
         self.log_rate: Table = np.empty((2, SUB_BINS, CONTEXTS))  # ln(lambda) / F
         self.rate: Table = np.empty((SUB_BINS, CONTEXTS))  # sum over polarities of lambda / F
         self.total: Table = np.empty(CONTEXTS)  # sum over a bit's sub-bins of rate
         self.quiet: Table = np.empty(2)
-        self.f = max(COLD_F, events_per_transition / COLD_WITNESSES)
+        self.f = max(1.0, events_per_transition / COLD_WITNESSES)
         self._cold = cold_rates(events_per_transition)
         self._floor = FLOOR * events_per_transition / SUB_BINS
         self._seen = np.zeros(CONTEXTS)
+        self._shrink = shrink_bits
         self._sums = np.zeros((2, CONTEXTS, SUB_BINS))
         self._residual = self.f * COLD_F_BITS
         self._residual_bits = COLD_F_BITS
@@ -157,9 +192,7 @@ class StepResponse:
         """The tables, as the kernels take them; `refresh` changes them in place."""
         return self.log_rate, self.rate, self.total, self.quiet
 
-    def learn(
-        self, counts: Counts, start: int, slots: npt.NDArray[np.int64], word: int, bits: int, before: int
-    ) -> None:
+    def learn(self, counts: Counts, start: int, slots: npt.NDArray[np.int64], word: int, before: int) -> None:
         """Take in a decided word; call `refresh` to use it.
 
         Args:
@@ -167,12 +200,14 @@ class StepResponse:
             start: sub-bin of the word's first bit.
             slots: (bits,) int64, offsets of the bits' first sub-bins.
             word: the bits, first on the air = most significant.
-            bits: how many.
             before: context of the bit before the word.
         """
-        residual = _learn(counts, start, slots, word, bits, before, self._seen, self._sums, self.rate, self.f)
-        self._residual += residual
-        self._residual_bits += bits
+        _learn(counts, start, slots, word, before, self._seen, self._sums)
+
+    def measure(self, counts: Counts, start: int, slots: npt.NDArray[np.int64], word: int, before: int) -> None:
+        """Measure the overdispersion on a decided word (arguments as in `learn`); `refresh` uses it."""
+        self._residual += _residual(counts, start, slots, word, before, self.total, self.f)
+        self._residual_bits += len(slots)
 
     def forget(self) -> None:
         """Let what was learned fade by one character."""
@@ -185,22 +220,16 @@ class StepResponse:
         """Bring the tables up to what has been learned."""
         self.f = min(max(self._residual / self._residual_bits, 1.0), F_MAX)
         _log_tables(
-            self._seen, self._sums, self._cold, SHRINK_BITS, self._floor, self.f, self.log_rate, self.rate, self.total
+            self._seen, self._sums, self._cold, self._shrink, self._floor, self.f, self.log_rate, self.rate, self.total
         )
         self.quiet[:] = np.log(self._floor) / self.f, 2.0 * self._floor / self.f
 
-    def relearn(self) -> StepResponse:
+    def relearn(self, shrink_bits: float) -> StepResponse:
         """Return an unlearned response that expects as many events: the next round of learning starts from it."""
-        return StepResponse(self.events_per_transition)
+        return StepResponse(self.events_per_transition, shrink_bits)
 
     def change_centre(self) -> float:
         """Return the mean sub-bin (0 to 16) of the events in bits whose level differs from the bit before."""
-        total = moment = 0.0
-        at = np.arange(SUB_BINS) + 0.5
-        for context in range(CONTEXTS):
-            level = context & 1
-            if (context >> 1) & 1 != level:
-                y = self._sums[0 if level else 1, context]
-                total += float(y.sum())
-                moment += float(y @ at)
-        return moment / total if total > 0.0 else SUB_BINS / 2
+        by_sub_bin = self._sums[0, _RISES].sum(axis=0) + self._sums[1, _FALLS].sum(axis=0)
+        total = float(by_sub_bin.sum())
+        return float(by_sub_bin @ (np.arange(SUB_BINS) + 0.5)) / total if total > 0.0 else SUB_BINS / 2

@@ -21,8 +21,11 @@ from heliograph.link.step_response import SUB_BINS, Counts
 
 # Four characters: longer than any run of equal levels (9 bits), the receiver's look-ahead (26 bits) and their sum.
 QUIET_BINS: Final = 44 * SUB_BINS
+# Silence assumed before the first event of all: an LED that begins to speak shows its first start bit there, and the
+# bit needs room to be found early.
+LEAD_BINS: Final = 2 * SUB_BINS
 # Characters that the window holds before it is asked to move on or to grow.
-_START_BINS: Final = 4 * QUIET_BINS
+_START_BINS: Final = 8 * QUIET_BINS
 
 
 @numba.njit(cache=True, nogil=True)
@@ -31,6 +34,8 @@ def _count(
     marks: npt.NDArray[np.int64],
 ) -> tuple[int, int]:  # fmt: skip
     """Count events until the array is full; return how many were taken, and how many new stretches (marks) began.
+
+    Room for the silence that may follow the last event is kept, since the receiver reads that far.
 
     state holds t_s, k_s, the last event's sub-bin, and 1 once there was an event.
     """
@@ -43,7 +48,7 @@ def _count(
             since = (t_us[i] - state[0]) / width_us  # compared as a float: time may jump further than an int holds
             new = since > state[2] - state[1] + quiet
             k = state[2] + quiet if new else state[1] + np.int64(since)
-        if k - base >= counts.shape[0] or (new and fresh == marks.shape[0]):
+        if k - base + quiet >= counts.shape[0] or (new and fresh == marks.shape[0]):
             return i, fresh
         if new:
             state[0], state[1], state[3] = t_us[i], k, 1
@@ -65,7 +70,7 @@ class SubBins:
         self.width_us = width_us
         self.base = 0  # number of the first sub-bin in `counts`
         self.counts: Counts = np.zeros((_START_BINS, 2), np.int32)
-        self._state = np.zeros(4, np.int64)
+        self._state = np.array([0, LEAD_BINS, 0, 0], np.int64)
         self._marks: list[tuple[int, int]] = []  # (first sub-bin, its time) of the stretches still held
         self._new = np.empty((64, 2), np.int64)
 

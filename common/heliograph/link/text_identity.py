@@ -4,9 +4,10 @@ A *good* character has the right start, parity and stop bits, decided on likelih
 bits at the right clock, eleven bits in a row are one with the chance 2^-4; after idle time of any length with 2^-3,
 since the idle bits may be chosen. A run of good characters is worth the product; the track is a text beacon when it
 falls below 1e-12 (ten characters one right after another: 16^-10 = 9e-13), so that the chance stays below 1e-10 a bit
-position although a run may begin at any of several sub-bins. The run must hold three different characters: one that is
-repeated is a periodic signal, which a lamp or a cyclic code makes too (`seed11` with the parity of the paper's text
-reads as one character for ever). Until then characters are held back; then they are released at once.
+position although a run may begin at any of several sub-bins. A periodic signal is no news, however long: a lamp, or a
+cyclic code (`seed11` at the same bit rate), reads as one character or two for ever, and as others while its phase
+slips. So of the last twelve characters of the run six must differ from the four before them. Until all that holds,
+characters are held back; then they are released at once.
 """
 
 from __future__ import annotations
@@ -16,20 +17,24 @@ from math import exp, log
 from typing import Final
 
 from heliograph.errors import Refusal, Refusals
-from heliograph.link.contract import Identity, Text, Verdict
+from heliograph.link.contract import Identity, LinkFrame, Text, Verdict
 from heliograph.link.uart_follow import Decision
-from heliograph.link.uart_layout import CHARACTER_BITS
+from heliograph.link.uart_layout import CHARACTER_BITS, TIME_FILL
 from heliograph.units import US_PER_S
 
 WORTH_NEEDED: Final = log(1e12)
 WORTH: Final = log(16.0)
 WORTH_AFTER_IDLE: Final = log(8.0)
-DIFFERENT_NEEDED: Final = 3
-HELD_MAX: Final = 64  # characters; the oldest of a longer wait (one character repeated) are let go, and counted
+# Lamps and cyclic codes show at most 4 of 12 (at 14 pairs of lamp and bit rate), texts hardly ever fewer than 7.
+NEWS_NEEDED: Final = 6
+NEWS_OF: Final = 12
+NEWS_MEMORY: Final = 4
+HELD_MAX: Final = 64  # characters; the oldest of a longer wait are let go, and counted
 
 # Of the last 20 decisions: so many refused, and the track is no text any more, or the framing is lost.
 WATCHED: Final = 20
 REFUSED_MAX: Final = 10
+REFUSED_MAX_NEW: Final = 5  # as long as the track is not accepted: noise that passed for text is let go soon
 
 # The paper's score (its Algorithm 1), with the floor that lets a valid track recover.
 SCORE_START: Final = 10
@@ -67,9 +72,9 @@ class TextIdentity:
         self._since_us: int | None = None
         self._support_us: int | None = None  # end of the newest good character, or of the idle time after it
         self._spoken_us: int | None = None  # end of the newest good character
-        self._held: deque[str] = deque()
+        self._held: deque[LinkFrame] = deque()
         self._worth = 0.0
-        self._run: set[int] = set()
+        self._run: deque[int] = deque(maxlen=NEWS_OF)
         self._frames = 0
         self._margin = 0.0
         self._watched: deque[float] = deque(maxlen=WATCHED)  # chance of being right; 0: refused
@@ -85,13 +90,14 @@ class TextIdentity:
         if self._begun_us is None:
             self._begun_us = t_us
 
-    def take(self, decision: Decision, end_us: int) -> Text | None:
+    def take(self, decision: Decision, end_us: int) -> list[LinkFrame | Text]:
         """Judge a decision; return what it releases."""
         if self._spoken_us is not None and end_us - self._spoken_us > IDLE_SUPPORT_US:
             self.drop()
         if decision.refusal is not None:
             self._refusals[decision.refusal] += 1
-        self._watched.append(0.0 if decision.code is None else probability(decision.margin))
+        chance = 0.0 if decision.code is None else probability(decision.margin)
+        self._watched.append(chance)
         if decision.good and decision.code is not None:
             self._good(decision, decision.code, end_us)
         else:
@@ -99,24 +105,37 @@ class TextIdentity:
             self._worth = 0.0
             self._run.clear()
         if decision.code is None:
-            return None
-        self._held.append(chr(decision.code))
+            return []
+        self._held.append(LinkFrame(end_us, decision.code, chance, decision.margin))
         if not self.accepted:
-            if self._worth < WORTH_NEEDED or len(self._run) < DIFFERENT_NEEDED:
-                if len(self._held) > HELD_MAX:
-                    self._held.popleft()
-                    self._refusals[Refusal.PERIODIC] += 1
-                return None
+            if self._worth < WORTH_NEEDED or self._news() < NEWS_NEEDED:
+                self._let_go()
+                return []
             self._since_us = end_us
-        text = "".join(self._held)
+        return self._release(end_us)
+
+    def _release(self, end_us: int) -> list[LinkFrame | Text]:
+        out: list[LinkFrame | Text] = list(self._held)
+        text = "".join(chr(frame.payload) for frame in self._held if frame.payload != TIME_FILL)
         self._held.clear()
-        return Text(t_us=end_us, text=text, data=None)
+        if text:
+            out.append(Text(t_us=end_us, text=text, data=None))
+        return out
+
+    def _let_go(self) -> None:
+        if len(self._held) > HELD_MAX:
+            self._held.popleft()
+            self._refusals[Refusal.PERIODIC if self._worth >= WORTH_NEEDED else Refusal.WEAK] += 1
+
+    def _news(self) -> int:
+        """Return how many of the run's last characters differ from those shortly before them."""
+        run = list(self._run)
+        return sum(code not in run[max(0, i - NEWS_MEMORY) : i] for i, code in enumerate(run))
 
     def _good(self, decision: Decision, code: int, end_us: int) -> None:
         self._score = min(self._score + GAIN, SCORE_MAX)
         self._worth += WORTH_AFTER_IDLE if decision.after_idle else WORTH
-        if len(self._run) < DIFFERENT_NEEDED:
-            self._run.add(code)
+        self._run.append(code)
         self._frames += 1
         self._margin += decision.margin
         self._spoken_us = self._support_us = end_us
@@ -128,7 +147,8 @@ class TextIdentity:
 
     def bad(self) -> bool:
         """Return whether too many of the last decisions were refused."""
-        return sum(chance == 0.0 for chance in self._watched) >= REFUSED_MAX
+        refused = sum(chance == 0.0 for chance in self._watched)
+        return refused >= (REFUSED_MAX if self.accepted else REFUSED_MAX_NEW)
 
     def drop(self) -> None:
         """Take the identity back, and begin anew."""

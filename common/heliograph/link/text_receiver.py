@@ -16,7 +16,7 @@ from heliograph.events import Flags, Times
 from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Text, Verdict
 from heliograph.link.step_response import SUB_BINS
 from heliograph.link.sub_bins import SubBins
-from heliograph.link.text_identity import TextIdentity, probability
+from heliograph.link.text_identity import TextIdentity
 from heliograph.link.uart_follow import Decision, Follower
 from heliograph.link.uart_layout import IDLE_CONTEXT
 from heliograph.link.uart_lock import CHARACTER_BINS, LOCK_BINS, LOCK_EVENTS, WORDS, characters_in, lock
@@ -133,10 +133,9 @@ class TextReceiver:
         if found is None:
             quiet = int(bins.counts[end - LOCK_BINS - bins.base : end - bins.base].sum()) < LOCK_EVENTS
             self._try_at += self._retry
-            self._retry = RETRY_BINS if quiet else min(self._retry * 3 // 2, RETRY_MAX_BINS)
+            self._retry = RETRY_BINS if quiet else self._longer()
             bins.drop(self._oldest())
             return
-        self._retry = RETRY_BINS
         start = max(self._floor, end - KEPT_BINS)
         # With what is known now, what was kept is read from its beginning.
         slots = slots_of(found.bit_bins)
@@ -149,16 +148,18 @@ class TextReceiver:
             return
         end_us = self._bins.time_us(decision.end)
         self._recent.append((end_us, decision))
-        text = self._identity.take(decision, end_us)
-        if decision.code is not None:
-            out.append(LinkFrame(end_us, decision.code, probability(decision.margin), decision.margin))
-        if text is not None:
-            out.append(text)
+        out.extend(self._identity.take(decision, end_us))
+        if self._identity.accepted:
+            self._retry = RETRY_BINS
         if self._identity.bad():
             self._identity.drop()
             self._follower = None
             self._floor = round(follower.position)
-            self._try_at = self._floor + LOCK_BINS
+            self._try_at = self._floor + LOCK_BINS + self._retry - RETRY_BINS
+            self._retry = self._longer()
+
+    def _longer(self) -> int:
+        return min(self._retry * 3 // 2, RETRY_MAX_BINS)
 
 
 def warm() -> None:

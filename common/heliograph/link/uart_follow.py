@@ -35,6 +35,7 @@ IDLE_STEP: Final = 4 * SUB_BINS
 K_P: Final = 0.15
 K_I: Final = 0.01
 K_HOLD: Final = 0.02
+ALL_LIT: Final = (1 << CHARACTER_BITS) - 1
 # What NEXT decides at once; the rest is looked at in its surroundings.
 SURE_DEFICIT: Final = 8.0
 # What is released although it is no good witness: odds of 7 to 1 among characters, and at most one bit against it.
@@ -148,7 +149,8 @@ class Follower:
         offset, code, likelihood, second, free, word, refined = near(
             counts, start - base, self._reach, self._slots, self._before, self.response.tables
         )
-        if free - likelihood > deficit_max:
+        # Where all bits are rather lit, the LED may idle: in weak light DEL is hardly less likely than that.
+        if free - likelihood > deficit_max or (word == ALL_LIT and deficit_max < np.inf):
             self._mode = Mode.SPAN
             if self._reach != REACH:
                 self.position -= SUB_BINS // 2
@@ -195,7 +197,8 @@ class Follower:
 
     def _learn(self, counts: Counts, at: int, word: int) -> None:
         self.response.forget()
-        self.response.learn(counts, at, self._slots, word, CHARACTER_BITS, self._before)
+        self.response.measure(counts, at, self._slots, word, self._before)
+        self.response.learn(counts, at, self._slots, word, self._before)
         self.response.refresh()
 
     def _span(self, counts: Counts, base: int) -> Decision | None:

@@ -10,6 +10,9 @@ asynchronous optical communications using event cameras", IROS 2022) are laid ou
 
 The *context* of a bit is the bit itself and the four before it, oldest first, as a number: the light of an LED that has
 just been switched still rings in the events of the bits that follow, so what a bit looks like depends on its context.
+
+DEL (127, all data bits lit) is time fill, as ASCII (ANSI X3.4) has it: the beacons of the recordings send one at the
+end of a text. It is a frame like any other and no part of a text.
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ from heliograph.link.contract import Bits
 CHARACTER_BITS: Final = 11
 DATA_BITS: Final = 7
 CHARACTERS: Final = 1 << DATA_BITS
+TIME_FILL: Final = 0x7F
 
 # The step response of the far LED at 3125 bit/s rings for three to four bits; a sixth bit of context doubles what must
 # be learned and reads none of the recordings better.
@@ -48,13 +52,13 @@ def text_bits(text: str) -> Bits:
     """Return the bits of a text, its characters one right after another.
 
     Raises:
-        ValueError: the text is empty or holds a character beyond 7-bit ASCII; the message names it.
+        ValueError: the text is empty or holds DEL or a character beyond 7-bit ASCII; the message names it.
     """
     if not text:
         raise ValueError("a text must hold at least 1 character, not 0")
     for at, character in enumerate(text):
-        if ord(character) >= CHARACTERS:
-            raise ValueError(f"a text must be 7-bit ASCII, not {character!r} (character {at})")
+        if ord(character) >= TIME_FILL:
+            raise ValueError(f"a text must be 7-bit ASCII without DEL (time fill), not {character!r} (character {at})")
     return tuple(bit for character in text for bit in character_bits(ord(character)))
 
 

@@ -1,19 +1,20 @@
 """Cold start of the text receiver: from the events alone to the LED's response, the bit clock and the framing.
 
 A stretch of sixteen characters is explained (`uart_words.explain`) with a parametric response, the response is learned
-from that explanation, and again, four times: expectation and maximisation with hard decisions. Contexts lean on
-shorter ones while little is known, so an early mistake is outvoted rather than learned by heart.
+from that explanation, and again, four times: expectation and maximisation with hard decisions, on short contexts at
+first, so that an early mistake is outvoted rather than learned by heart.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
 import numpy as np
 
-from heliograph.link.step_response import SUB_BINS, Counts, StepResponse
+from heliograph.link.step_response import SHRINK_BITS, SUB_BINS, Counts, StepResponse
 from heliograph.link.uart_layout import CHARACTER_BITS, IDLE_CONTEXT, word_table
 from heliograph.link.uart_words import Slots, explain, near, slots_of
 
@@ -22,11 +23,14 @@ CHARACTER_BINS: Final = CHARACTER_BITS * SUB_BINS
 # recordings' first stretch, and every further one delays the first identification.
 LOCK_CHARACTERS: Final = 16
 LOCK_BINS: Final = LOCK_CHARACTERS * CHARACTER_BINS
-ROUNDS: Final = 4
+# Weight of the shorter contexts in each round of learning: at first only the last two bits of a context count, so that
+# a wrong character is not learned by heart from its own events.
+ROUNDS: Final = (400.0, 40.0, 12.0, SHRINK_BITS)
 # Fewer events than this in the stretch (three a character) teach nothing: the LED idles, or is too far away.
 LOCK_EVENTS: Final = 3 * LOCK_CHARACTERS
-# Of the characters that the stretch can hold: fewer, and it is not text, or not yet.
-LOCK_GOOD: Final = 6
+# Of the characters that the stretch can hold: fewer, and it is not text, or not yet. With 6, Poisson noise of two
+# events a bit passes now and then.
+LOCK_GOOD: Final = 8
 # A character holds five changes of level on average.
 CHANGES: Final = 5.0
 CLOCK_MAX: Final = 0.025  # offsets beyond 2.5 % are another bit rate
@@ -70,16 +74,27 @@ def characters_in(counts: Counts, start: int, n: int, slots: Slots, response: St
     return [(int(at), int(code)) for at, code in found[found[:, 1] >= 0]]
 
 
-def _learn(counts: Counts, start: int, found: list[tuple[int, int]], slots: Slots, response: StepResponse) -> None:
-    end, before = -1, IDLE_CONTEXT
+def _chained(found: list[tuple[int, int]]) -> Iterator[tuple[int, int, int]]:
+    """Yield (sub-bin, code, context of the bit before) of the characters found."""
+    end, before = -CHARACTER_BINS, IDLE_CONTEXT
     for at, code in found:
-        if abs(at - end) > SUB_BINS // 4:
-            before = IDLE_CONTEXT
-        word = int(WORDS[code])
-        response.learn(counts, start + at, slots, word, CHARACTER_BITS, before)
-        before = word & IDLE_CONTEXT
+        yield at, code, before if abs(at - end) <= SUB_BINS // 4 else IDLE_CONTEXT
+        before = int(WORDS[code]) & IDLE_CONTEXT
         end = at + CHARACTER_BINS
+
+
+def _learned(
+    counts: Counts, start: int, found: list[tuple[int, int]], slots: Slots, response: StepResponse, shrink_bits: float
+) -> StepResponse:
+    """Return a response learned from these characters alone; F is measured against what was learned."""
+    response = response.relearn(shrink_bits)
+    for at, code, before in _chained(found):
+        response.learn(counts, start + at, slots, int(WORDS[code]), before)
     response.refresh()
+    for at, code, before in _chained(found):
+        response.measure(counts, start + at, slots, int(WORDS[code]), before)
+    response.refresh()
+    return response
 
 
 def _bit_bins(found: list[tuple[int, int]]) -> float:
@@ -93,14 +108,9 @@ def _bit_bins(found: list[tuple[int, int]]) -> float:
 
 def _count_good(counts: Counts, start: int, found: list[tuple[int, int]], slots: Slots, response: StepResponse) -> int:
     good = 0
-    end, before = -1, IDLE_CONTEXT
-    for at, code in found:
-        if abs(at - end) > SUB_BINS // 4:
-            before = IDLE_CONTEXT
+    for at, _, before in _chained(found):
         _, _, likelihood, second, free, _, _ = near(counts, start + at, 0, slots, before, response.tables)
         good += is_good(likelihood, second, free)
-        before = int(WORDS[code]) & IDLE_CONTEXT
-        end = at + CHARACTER_BINS
     return good
 
 
@@ -112,13 +122,12 @@ def lock(counts: Counts, start: int, n: int) -> Lock | None:
     response = StepResponse(events * CHARACTER_BINS / (n * CHANGES))
     slots = slots_of(SUB_BINS)
     found: list[tuple[int, int]] = []
-    for _ in range(ROUNDS):
+    for shrink_bits in ROUNDS:
         found = characters_in(counts, start, n, slots, response)
         if len(found) < LOCK_GOOD:
             return None
         slots = slots_of(_bit_bins(found))
-        response = response.relearn()
-        _learn(counts, start, found, slots, response)
+        response = _learned(counts, start, found, slots, response, shrink_bits)
     good = _count_good(counts, start, found, slots, response)
     if good < LOCK_GOOD:
         return None

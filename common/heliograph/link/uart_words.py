@@ -275,11 +275,12 @@ def explain(counts: Counts, start: int, n: int, slots: Slots, before: int, table
     junk = np.full((n + 1, contexts), NOWHERE)
     came = np.full((n + 1, contexts), ENTERED, np.int8)
     score = np.empty(128)
+    value[0] = 0.0
     if before < 0:
         junk[:sub] = 0.0
         came[:sub] = FIRST
     else:
-        value[0], context[0] = 0.0, before
+        context[0] = before
     length = round((slots[-1] * slots.shape[0]) / (slots.shape[0] - 1.0))
     for g in range(n + 1):
         best = junk[g].argmax()
