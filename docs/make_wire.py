@@ -158,7 +158,7 @@ def record_section(message: Message) -> list[str]:
         "",
     ]
     body = short(msgpack.unpackb(packed)["body"])
-    lines += [f"Example ({len(packed)} bytes with its envelope):", "", "```python"]
+    lines += [f"Example ({len(packed)} bytes with its envelope):", "", "```text"]
     lines += ["{", *(f"    {name!r}: {_shown(value)}," for name, value in body.items()), "}", "```", ""]
     return lines
 

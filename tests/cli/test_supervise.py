@@ -175,7 +175,7 @@ def test_what_a_killed_supervisor_left_is_cleaned_away(supervised: Callable[...,
     child = s.wait_running()[0].pid
     os.kill(s.supervisor_pid(), signal.SIGKILL)
     until(lambda: not s.supervisor_pid(), "the end of the supervisor")
-    assert (s.plan.folder / "supervisor.sock").exists()
+    assert (s.plan.folder / "sock").exists()
     assert s.states() == []
     os.kill(child, signal.SIGKILL)  # this one, unlike ours, does not end with its parent
     s.start(follow_parent=False)

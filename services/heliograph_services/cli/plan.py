@@ -20,7 +20,7 @@ START_S: Final = 1
 _START_TRIES: Final = 60
 # The longest orderly stop seen is 1.5 s (a Zenoh session that closes while its router is gone waits 1 s).
 STOP_S: Final = 6
-_PATH_LIMIT: Final = 107 - len("/supervisor.sock.4194304")  # sun_path, and supervisor binds under a temporary name
+_PATH_LIMIT: Final = 107 - len("/sock.4194304")  # sun_path, and supervisor binds under a temporary name
 _CONFIG_STATUS: Final = 2
 
 
@@ -84,7 +84,7 @@ def ini_of(plan: Plan, directory: Path) -> str:
         directory: their working directory, to which paths in the site file are relative.
     """
     lines = [
-        *("[unix_http_server]", f"file={_text(plan.folder / 'supervisor.sock')}", "chmod=0700"),
+        *("[unix_http_server]", f"file={_text(plan.folder / 'sock')}", "chmod=0700"),
         *(
             "[rpcinterface:supervisor]",
             "supervisor.rpcinterface_factory=supervisor.rpcinterface:make_main_rpcinterface",

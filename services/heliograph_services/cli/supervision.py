@@ -3,7 +3,7 @@
 Everything lives in one folder, ``run/{site}-{host}/``::
 
     supervisor.ini     what supervisord reads; written anew at each start
-    supervisor.sock    its XML-RPC interface, for this user alone
+    sock               its XML-RPC interface, for this user alone
     supervisord.pid    its process
     supervisord.log    starts and ends of the processes; restarts are counted from it
     {process}.log      what a process wrote to stderr (JSON lines)
@@ -135,7 +135,7 @@ class Supervised:
 
     def _clean(self) -> None:
         """Remove what an earlier run left; its logs are kept as they are until a process writes anew."""
-        for name in ("supervisor.sock", "supervisord.pid", "supervisord.log"):
+        for name in ("sock", "supervisord.pid", "supervisord.log"):
             (self._folder / name).unlink(missing_ok=True)
         for program in self.plan.programs:
             log_of(self.plan, program.name).unlink(missing_ok=True)
@@ -162,9 +162,7 @@ class Supervised:
 
     @contextmanager
     def _remote(self) -> Iterator[Any]:
-        server = xmlrpc.client.ServerProxy(
-            "http://localhost/RPC2", transport=_UnixTransport(self._folder / "supervisor.sock")
-        )
+        server = xmlrpc.client.ServerProxy("http://localhost/RPC2", transport=_UnixTransport(self._folder / "sock"))
         try:
             yield server.supervisor
         finally:
@@ -256,7 +254,7 @@ class Supervised:
         )
         if not gone:
             raise SupervisionError(f"{self.plan.title}: supervisor {pid} did not end within {timeout_s:g} s")
-        for name in ("supervisor.sock", "supervisord.pid"):
+        for name in ("sock", "supervisord.pid"):
             (self._folder / name).unlink(missing_ok=True)
         return bool(pid)
 
