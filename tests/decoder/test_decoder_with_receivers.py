@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -124,24 +125,29 @@ def test_without_a_list_of_beacons_all_protocols_and_rates_are_tried(batch: Even
     assert {"seed11:42", "seed11:21", "seed11:51", "code:77"} <= names
 
 
-def one_beacon(payload: int, *, listed: bool) -> tuple[DecoderCore, list[Message]]:
+def one_beacon(payload: int, listed: int | None, rate: float | Literal["auto"]) -> tuple[DecoderCore, list[Message]]:
     disc = Disc(0, still(50, 50))
     bits = modulation("seed11", allow_periodic=1).encode(payload)
     batch = coded(disc.path, 3.0, bits, BIT_US, 500_000, 100, 100, 1)
-    beacons = (Beacon(name="odd", protocol="seed11", payload=payload, bit_rate=1_000),) if listed else ()
-    decoder = make_core(DecoderConfig(beacons=beacons), Context("d", "b", lockstep=False))
+    beacons = () if listed is None else (Beacon(name="odd", protocol="seed11", payload=listed, bit_rate=1_000),)
+    decoder = make_core(DecoderConfig(beacons=beacons, bit_rate=rate), Context("d", "b", lockstep=False))
     decoder.feed(tracks(0, [("s-0", disc, 0)]))
     return decoder, [
         one for m in messages(batch, 0, 500_000, range(0, 500_000, 10_000), 100, 100) for one in decoder.feed(m)
     ]
 
 
-def test_a_square_wave_is_a_beacon_only_where_the_site_lists_it() -> None:
-    decoder, out = one_beacon(7, listed=False)
-    assert not [one for one in out if isinstance(one, Identification)]
-    assert decoder.refusals[Refusal.PERIODIC] > 10
-    _, out = one_beacon(7, listed=True)
-    assert {one.beacon for one in out if isinstance(one, Identification)} == {"odd"}
+@pytest.mark.parametrize(
+    ("listed", "rate", "read"), [(None, "auto", False), (42, 1000.0, False), (7, 1000.0, True), (None, 1000.0, True)]
+)
+def test_a_square_wave_is_read_where_it_is_listed_or_nothing_is_but_the_rate(
+    listed: int | None, rate: float | Literal["auto"], read: bool
+) -> None:
+    decoder, out = one_beacon(7, listed, rate)
+    names = {one.beacon for one in out if isinstance(one, Identification)}
+    assert names == ({"seed11:7" if listed is None else "odd"} if read else set())
+    if listed == 42:
+        assert decoder.refusals[Refusal.PERIODIC] > 10
 
 
 def test_a_listed_payload_that_cannot_be_told_from_its_twin_is_an_operators_mistake() -> None:

@@ -1,39 +1,25 @@
-"""Runs a camera as a process: its steps go out at the camera's pace, at a factor of it, or in lockstep.
+"""Runs a camera as a process: `main_of_source(Source(...))` is all of a source's `__main__`.
 
-A step is what happened until a camera time, as records ready to be sent. In lockstep the next step leaves when every
-awaited service has published `progress` up to the last one, and the first when all of them are present and warm.
+A step is what happened until a camera time, as records ready to be sent; how they leave is `heliograph.shell.pace`.
 """
 
 from __future__ import annotations
 
-import logging
-import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import msgspec
 
-from heliograph.core import Context
-from heliograph.errors import Refusals, by_name
-from heliograph.keys import parse
-from heliograph.messages import Message, Progress
-from heliograph.shell.bus import Bus, connected
-from heliograph.shell.health import HealthReporter, Pulse
-from heliograph.shell.links import client_config
 from heliograph.shell.process import Stop
-from heliograph.shell.run import Launch, guarded, launch_of
+from heliograph.shell.run import guarded, launch_of
 
-_LOG = logging.getLogger(__name__)
+if TYPE_CHECKING:
+    from heliograph.core import Context
+    from heliograph.errors import Refusals
+    from heliograph.messages import Message
+
 ConfigT = TypeVar("ConfigT", bound=msgspec.Struct)
-_WAIT_S: Final = 0.05
-# Somebody is awaited this long before a line says whom.
-_PATIENCE_S: Final = 5.0
-# The streams that the awaited services report their progress on.
-_WATERMARKED: Final = ("events", "onsets")
-# A live source that falls further behind its pace gives up the lost time rather than hurry after it.
-_LATE_LIMIT_S: Final = 0.5
 
 
 class Step(Protocol):
@@ -74,140 +60,13 @@ class Source(Generic[ConfigT]):
     make: Callable[[ConfigT, Context], Stream]
 
 
-class _Awaited:
-    """The services that a lockstep source waits for: present, and how far."""
-
-    def __init__(self, bus: Bus, services: Sequence[str]) -> None:
-        self._services = tuple(services)
-        self._bus = bus
-        self._here: set[str] = set()
-        self._t_us: dict[str, int] = {}
-        self._changed = threading.Condition()
-
-    def on_live(self, key_text: str, present: bool) -> None:
-        found = parse(key_text)
-        if found is None:
-            return
-        with self._changed:
-            if present:
-                self._here.add(found.parts[0])
-            else:
-                self._here.discard(found.parts[0])
-            self._changed.notify_all()
-
-    def present(self, stop: Stop) -> bool:
-        """Wait until all are there; return False where a stop came first."""
-        return self._wait(stop, lambda: [name for name in self._services if name not in self._here], "to start")
-
-    def done(self, stop: Stop, t_us: int) -> bool:
-        """Wait until all are through with t_us; return False where a stop came first."""
-
-        def waiting() -> list[str]:
-            return [name for name in self._services if self._t_us.get(name, t_us - 1) < t_us]
-
-        inbox = self._bus.inbox
-        since = time.monotonic()
-        while waiting():
-            if stop:
-                return False
-            sample = inbox.get(_WAIT_S) if inbox else None
-            if sample is not None:
-                opened = self._bus.open(sample)
-                if opened is not None and isinstance(opened[1], Progress):
-                    progress = opened[1]
-                    self._t_us[progress.service] = progress.t_us
-            elif time.monotonic() - since > _PATIENCE_S:
-                since = time.monotonic()
-                _LOG.warning("waiting for %s to finish %d us", ", ".join(waiting()), t_us)
-        return True
-
-    def _wait(self, stop: Stop, missing: Callable[[], list[str]], what: str) -> bool:
-        since = time.monotonic()
-        with self._changed:
-            while missing():
-                if stop:
-                    return False
-                self._changed.wait(_WAIT_S)
-                if time.monotonic() - since > _PATIENCE_S:
-                    since = time.monotonic()
-                    _LOG.warning("waiting for %s %s", ", ".join(missing()), what)
-        return True
-
-
 def main_of_source(source: Source[Any], argv: Sequence[str] | None = None) -> int:
     """Run a source until its stream ends or it is stopped; return its exit status."""
 
     def work(stop: Stop) -> int:
         launch = launch_of(source.kind, source.about, source.config, argv)
-        return _serve(source, launch, stop)
+        from heliograph.shell.pace import serve  # noqa: PLC0415 - zenoh and numpy, not needed for --help
+
+        return serve(source, launch, stop)
 
     return guarded(work)
-
-
-def _serve(source: Source[Any], launch: Launch[Any], stop: Stop) -> int:
-    import secrets  # noqa: PLC0415 - one name
-
-    context = Context(launch.instance, secrets.token_hex(3), launch.site.lockstep)
-    stream = source.make(launch.config, context)
-    with connected(client_config(launch.site.bus), launch.site.site, f"{launch.kind}/{launch.instance}", stop) as bus:
-        if bus is None:
-            return 0
-        pulse = Pulse()
-        pulse.counters = lambda: {f"refused: {n}": c for n, c in by_name(stream.refusals).items()} | stream.counters
-        pulse.gauges = lambda: dict(stream.gauges)
-        reporter = HealthReporter(bus, launch.kind, launch.instance, pulse)
-        bus.announce(launch.kind, launch.instance)
-        try:
-            finished = _lockstep(bus, launch, stream, stop) if context.lockstep else _paced(bus, launch, stream, stop)
-        finally:
-            reporter.close()
-        _LOG.info(
-            "the recording has ended" if finished else "stopped",
-            extra={"fields": {"refused": by_name(stream.refusals), **stream.counters}},
-        )
-    return 0
-
-
-def _send(bus: Bus, step: Step) -> None:
-    for message in step.messages:
-        bus.publish(message)
-
-
-def _lockstep(bus: Bus, launch: Launch[Any], stream: Stream, stop: Stop) -> bool:
-    """Send each step when the last one is finished everywhere; return whether the stream came to its end."""
-    camera = launch.config.camera
-    bus.subscribe({"progress": Progress}, {"progress": (camera,)})
-    awaited = _Awaited(bus, launch.config.wait_for)
-    bus.watch("live", awaited.on_live)
-    if not awaited.present(stop):
-        return False
-    _LOG.info("lockstep", extra={"fields": {"wait_for": list(launch.config.wait_for)}})
-    marks: dict[str, int] = {}
-    for step in stream:
-        _send(bus, step)
-        marks |= {message.SCHEMA: message.time_us for message in step.messages if message.SCHEMA in _WATERMARKED}
-        # Onsets come less often than events: no service can be further than what it was sent.
-        if len(marks) == len(_WATERMARKED) and not awaited.done(stop, min(marks.values())):
-            return False
-    return True
-
-
-def _paced(bus: Bus, launch: Launch[Any], stream: Stream, stop: Stop) -> bool:
-    """Send each step when the wall clock has reached it; return whether the stream came to its end."""
-    pace = launch.config.pace
-    start: tuple[float, int] | None = None
-    for step in stream:
-        if pace > 0:
-            now = time.monotonic()
-            if start is None:
-                start = (now, step.t1_us)
-            ahead_s = (step.t1_us - start[1]) / 1e6 / pace - (now - start[0])
-            if ahead_s > 0 and stop.wait(ahead_s):
-                return False
-            if ahead_s < -_LATE_LIMIT_S:
-                start = (now, step.t1_us)
-                stream.counters["late restarts"] = stream.counters.get("late restarts", 0) + 1
-        if stop:
-            return False
-        _send(bus, step)
-    return True

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import textwrap
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -27,6 +28,7 @@ from heliograph_services.cli.services import config_type
 ConfigT = TypeVar("ConfigT", bound=msgspec.Struct)
 # The window of a step; larger ones save overhead, and the result does not depend on it.
 _WINDOW_US: Final = 10_000
+_COLUMNS: Final = 80  # of a terminal
 
 
 def parser() -> argparse.ArgumentParser:
@@ -203,7 +205,7 @@ def _for_people(summary: dict[str, Any]) -> str:
     seconds = summary["duration_us"] / 1e6
     refused = ", ".join(f"{n} {name}" for name, n in summary["refused"].items()) or "none"
     beacons = ", ".join(summary["identifications"]) or "none"
-    return (
-        f"{summary['events']} events in {seconds:.3f} s, read in {summary['wall_s']} s; {summary['tracks']} tracks;"
-        f" {summary['frames']} frames\nrefused: {refused}\nidentified: {beacons}"
-    )
+    read = f"{summary['events']} events in {seconds:.3f} s, read in {summary['wall_s']} s"
+    counts = f"{summary['tracks']} tracks; {summary['frames']} frames"
+    paragraphs = (f"{read}; {counts}", f"refused: {refused}", f"identified: {beacons}")
+    return "\n".join(textwrap.fill(text, _COLUMNS, subsequent_indent="  ") for text in paragraphs)

@@ -136,13 +136,18 @@ def _keys(beacons: tuple[Beacon, ...], config: DecoderConfig) -> list[LinkKey]:
 
 
 def _modulation(modulation_of: ModulationOf, key: LinkKey, beacons: tuple[Beacon, ...]) -> Modulation:
-    """Return the link's modulation; a listed payload that a lamp can imitate is read because it is listed."""
+    """Return the link's modulation.
+
+    Payloads that a lamp can imitate are read where the site lists one of them, and where nothing is listed but the
+    bit rate is given; a measured rate fits any lamp, so there they are refused.
+    """
     options = dict(key.options)
     try:
         kind = modulation_of(key.protocol, **options)
     except ValueError as error:
         raise ConfigError(str(error)) from None
-    periodic = False
+    advice = getattr(kind, "advice", None)
+    periodic = advice is not None and not beacons and key.bit_rate is not None
     for beacon in beacons:
         if _key_of(beacon) != key or beacon.payload is None:
             continue
@@ -150,9 +155,8 @@ def _modulation(modulation_of: ModulationOf, key: LinkKey, beacons: tuple[Beacon
             kind.encode(beacon.payload)
         except (ValueError, TypeError) as error:
             raise ConfigError(f"beacon {beacon.name}: {error}") from None
-        advice = getattr(kind, "advice", None)
         periodic = periodic or (advice is not None and advice(beacon.payload) is not None)
-    return modulation_of(key.protocol, **(options | {"allow_periodic": 1})) if periodic else kind
+    return modulation_of(key.protocol, **({"allow_periodic": 1} | options)) if periodic else kind
 
 
 @dataclass(frozen=True, slots=True)
