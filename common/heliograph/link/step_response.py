@@ -55,6 +55,9 @@ SMOOTHING: Final = 4
 COLD_WITNESSES: Final = 10.0
 COLD_F_BITS: Final = 44.0
 F_MAX: Final = 400.0
+# Of the mean change's events, the least that a kind of change (after one bit or after more, on or off) must show.
+# The recordings: .76 and more; synthetic light with few events: .65.
+CHANGE_MIN: Final = 0.25
 
 _RISES: Final = np.arange(1, CONTEXTS, 4)  # contexts that end in 0 1
 _FALLS: Final = np.arange(2, CONTEXTS, 4)  # and in 1 0
@@ -227,6 +230,19 @@ class StepResponse:
     def relearn(self, shrink_bits: float) -> StepResponse:
         """Return an unlearned response that expects as many events: the next round of learning starts from it."""
         return StepResponse(self.events_per_transition, shrink_bits)
+
+    def plausible(self) -> bool:
+        """Return whether each kind of change that was seen looks like one: a rise by ON events, a fall by OFF events.
+
+        A periodic signal is consistent with words that it does not send, where the response is learned to fit: some
+        of their changes then come without events.
+        """
+        signed = self._sums[0].sum(axis=1) - self._sums[1].sum(axis=1)
+        seen = self._seen.reshape(-1, 8).sum(axis=0)
+        per_change = signed.reshape(-1, 8).sum(axis=0) / np.maximum(seen, 1.0)
+        changes = [(1.0, 0b001), (1.0, 0b101), (-1.0, 0b010), (-1.0, 0b110)]
+        sizes = [sign * float(per_change[c]) for sign, c in changes if seen[c] >= 1.0]
+        return bool(sizes) and min(sizes) > CHANGE_MIN * sum(sizes) / len(sizes)
 
     def change_centre(self) -> float:
         """Return the mean sub-bin (0 to 16) of the events in bits whose level differs from the bit before."""

@@ -76,6 +76,8 @@ class SubBins:
 
     def add(self, t_us: Times, on: Flags) -> int:
         """Count events, none older than those counted before, while there is room; return how many were taken."""
+        # A kernel is compiled anew for arrays that may not be written, such as those that came over a wire.
+        t_us, on = np.require(t_us, requirements=("C", "W")), np.require(on, requirements=("C", "W"))
         done = 0
         while done < len(t_us):
             taken, fresh = _count(

@@ -13,12 +13,12 @@ import numpy as np
 
 from heliograph.errors import Refusals
 from heliograph.events import Flags, Times
-from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Text, Verdict
+from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Text, Verdict, edges_of
 from heliograph.link.step_response import SUB_BINS
 from heliograph.link.sub_bins import SubBins
 from heliograph.link.text_identity import TextIdentity
 from heliograph.link.uart_follow import Decision, Follower
-from heliograph.link.uart_layout import IDLE_CONTEXT
+from heliograph.link.uart_layout import text_bits
 from heliograph.link.uart_lock import CHARACTER_BINS, LOCK_BINS, LOCK_EVENTS, WORDS, characters_in, lock
 from heliograph.link.uart_words import slots_of
 from heliograph.units import US_PER_S, bit_us
@@ -97,8 +97,9 @@ class TextReceiver:
         rate = self._bit_rate * SUB_BINS / follower.bit_bins
         read = [d for d in decided if d.code is not None]
         chained = [d.offset for d in read if not d.after_idle]
-        # changes of level within a character, and the fall of its start bit
-        changes = sum((int(WORDS[d.code]) ^ (int(WORDS[d.code]) >> 1)).bit_count() for d in read if d.code is not None)
+        words = [int(WORDS[d.code]) for d in read if d.code is not None]
+        # the fall of the start bit, and the changes of level within the character
+        changes = sum(1 + (word ^ (word >> 1)).bit_count() for word in words)
         per_change = sum(d.events for d in read) / changes if changes else None
         return LinkQuality(
             bit_rate=rate,
@@ -164,9 +165,10 @@ class TextReceiver:
 
 def warm() -> None:
     """Compile, or load from the cache, all kernels of the receiver."""
-    receiver = TextReceiver(1000.0)
-    word = int(WORDS[ord("U")]) & IDLE_CONTEXT
-    rng = np.random.default_rng(word)
-    t_us = np.sort(rng.integers(0, 1_000_000, 8_000))
-    receiver.feed(t_us.astype(np.int64), rng.random(len(t_us)) < 0.5, 1_000_000)
+    bit_rate = 1000.0
+    bits = (*text_bits("the kernels are compiled, or loaded"), *(1,) * 100, *text_bits("once"), *(1,) * 100)
+    at_us, levels = edges_of(bits, 0.0, bit_us(bit_rate), level=True)
+    t_us = np.repeat(at_us, 8).astype(np.int64)
+    receiver = TextReceiver(bit_rate)
+    receiver.feed(t_us, np.repeat(levels, 8), int(t_us[-1]) + 1)
     receiver.flush()

@@ -133,7 +133,8 @@ class Follower:
             return self._next(counts, base, SURE_DEFICIT)
         if self._mode is Mode.SPAN:
             return self._span(counts, base)
-        return self._idle(counts, base)
+        self._idle(counts, base)
+        return None
 
     def _idle(self, counts: Counts, base: int) -> None:
         start = round(self.position) - base

@@ -129,6 +129,6 @@ def lock(counts: Counts, start: int, n: int) -> Lock | None:
         slots = slots_of(_bit_bins(found))
         response = _learned(counts, start, found, slots, response, shrink_bits)
     good = _count_good(counts, start, found, slots, response)
-    if good < LOCK_GOOD:
+    if good < LOCK_GOOD or not response.plausible():
         return None
     return Lock(response, _bit_bins(found), found[0][0], good)

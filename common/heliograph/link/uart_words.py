@@ -176,11 +176,10 @@ def _idle_bin(on: int, off: int, age: int, before: int, tables: Tables) -> float
     sub, contexts = rate.shape
     whole, part = age // sub, age % sub
     c = contexts - 1 if whole >= IDLE_BITS else ((before << (whole + 1)) | ((2 << whole) - 1)) & (contexts - 1)
-    likelihood = on * log_rate[0, part, c] + off * log_rate[1, part, c] - rate[part, c]
-    if whole >= IDLE_BITS:
-        # What rings after a run of ones is learned from characters; after a longer time it is quieter still.
-        return max(likelihood, (on + off) * quiet[0] - quiet[1])
-    return likelihood
+    likelihood: float = on * log_rate[0, part, c] + off * log_rate[1, part, c] - rate[part, c]
+    # What rings after a run of ones is learned from characters; after a longer time it is quieter still.
+    calm: float = (on + off) * quiet[0] - quiet[1]
+    return max(likelihood, calm) if whole >= IDLE_BITS else likelihood
 
 
 @numba.njit(cache=True, nogil=True)
