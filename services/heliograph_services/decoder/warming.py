@@ -6,6 +6,7 @@ import numpy as np
 
 from heliograph.core import Context
 from heliograph.events import EventBatch
+from heliograph.link import text_receiver
 from heliograph.messages import Tracks
 from heliograph.streams import Events
 from heliograph_services.decoder.config import DecoderConfig
@@ -15,8 +16,10 @@ from heliograph_services.decoder.core import DecoderCore
 def warm_all() -> None:
     """Compile, or load from the cache, every kernel: the decoder's own, and those of the cyclic codes and of text.
 
-    A scene of two blinking pixels runs through a core, backlog and re-centring included.
+    A scene of two blinking pixels runs through a core, backlog and re-centring included. It is no text, and what a
+    receiver of text compiles behind its lock would else stall the first beacon of a site.
     """
+    text_receiver.warm()
     core = DecoderCore(DecoderConfig(protocol="auto"), Context(instance="warm", boot="0", lockstep=False))
     for k in range(40):
         t0_us = k * 5_000

@@ -1,0 +1,45 @@
+"""Warming leaves nothing to compile: a kernel that compiles at its first use stalls a live decoder, which then drops."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+SCRIPT = """
+import gc, json
+from numba.core.dispatcher import Dispatcher
+from heliograph_services.cli import warm
+from heliograph_services.cli.pipeline import ONE_PROCESS, Pipeline
+from heliograph_services.decoder.config import DecoderConfig
+from heliograph_services.decoder.core import make_core as make_decoder
+from heliograph_services.event_source.config import EventSourceConfig
+from heliograph_services.event_source.simulation.scenario import load_scenario
+from heliograph_services.event_source.stream import open_stream
+from heliograph_services.tracker.config import TrackerConfig
+from heliograph_services.tracker.core import make_core as make_tracker
+
+def kernels():
+    found = (each for each in gc.get_objects() if isinstance(each, Dispatcher))
+    return {f"{each.py_func.__module__}.{each.py_func.__name__}": len(each.signatures) for each in found}
+
+warm.main()
+warmed = kernels()
+beacons = tuple(spec.beacon for spec in load_scenario("five").beacons)
+pipeline = Pipeline(
+    make_tracker(TrackerConfig(), ONE_PROCESS), make_decoder(DecoderConfig(beacons=beacons), ONE_PROCESS)
+)
+settings = EventSourceConfig(backend="simulated", scenario="five", duration_s=1.5)
+published = [message for step in open_stream(settings, ONE_PROCESS) for message in pipeline.feed(step.messages)]
+used = kernels()
+late = sorted(name for name in used if used[name] != warmed.get(name))
+print(json.dumps([sorted({m.beacon for m in published if m.SCHEMA == "ids"}), late, len(warmed)]))
+"""
+
+
+def test_a_scene_of_every_protocol_compiles_nothing_after_warming() -> None:
+    run = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True, timeout=110)
+    identified, compiled_late, known = json.loads(run.stdout.splitlines()[-1])
+    assert identified == ["crane", "gate", "lift", "mixer", "truck"]
+    assert compiled_late == []
+    assert known > 10
