@@ -1,4 +1,4 @@
-"""Warming leaves nothing to compile: a kernel that compiles at its first use stalls a live decoder, which then drops."""
+"""Warming leaves nothing to compile: a kernel that compiles at first use stalls a live decoder, which then drops."""
 
 from __future__ import annotations
 
