@@ -7,10 +7,11 @@ when all of them are present and warm.
 from __future__ import annotations
 
 import logging
+import math
 import secrets
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 from heliograph.core import Context
@@ -57,9 +58,22 @@ class _Awaited:
                 self._here.discard(found.parts[0])
             self._changed.notify_all()
 
-    def present(self, stop: Stop) -> bool:
-        """Wait until all are there; return False where a stop came first."""
-        return self._wait(stop, lambda: [name for name in self._services if name not in self._here], "to start")
+    def present(self, stop: Stop, at_most_s: float = math.inf) -> bool:
+        """Wait until all are there, or for so long; return False where a stop came first."""
+        since = told = time.monotonic()
+        with self._changed:
+            while missing := [name for name in self._services if name not in self._here]:
+                if stop:
+                    return False
+                now = time.monotonic()
+                if now - since > at_most_s:
+                    _LOG.warning("beginning without %s", ", ".join(missing))
+                    return True
+                if now - told > _PATIENCE_S:
+                    told = now
+                    _LOG.warning("waiting for %s to start", ", ".join(missing))
+                self._changed.wait(_WAIT_S)
+        return True
 
     def done(self, stop: Stop, t_us: int) -> bool:
         """Wait until all are through with t_us; return False where a stop came first."""
@@ -81,18 +95,6 @@ class _Awaited:
             elif time.monotonic() - since > _PATIENCE_S:
                 since = time.monotonic()
                 _LOG.warning("waiting for %s to finish %d us", ", ".join(waiting()), t_us)
-        return True
-
-    def _wait(self, stop: Stop, missing: Callable[[], list[str]], what: str) -> bool:
-        since = time.monotonic()
-        with self._changed:
-            while missing():
-                if stop:
-                    return False
-                self._changed.wait(_WAIT_S)
-                if time.monotonic() - since > _PATIENCE_S:
-                    since = time.monotonic()
-                    _LOG.warning("waiting for %s %s", ", ".join(missing()), what)
         return True
 
 
@@ -146,6 +148,11 @@ def _lockstep(bus: Bus, launch: Launch[Any], stream: Stream, stop: Stop) -> bool
 def _paced(bus: Bus, launch: Launch[Any], stream: Stream, stop: Stop) -> bool:
     """Send each step when the wall clock has reached it; return whether the stream came to its end."""
     pace = launch.config.pace
+    if launch.config.await_s > 0:
+        awaited = _Awaited(bus, launch.config.wait_for)
+        bus.watch("live", awaited.on_live)
+        if not awaited.present(stop, launch.config.await_s):
+            return False
     start: tuple[float, int] | None = None
     before_us = 0
     for step in stream:

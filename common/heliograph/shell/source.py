@@ -50,7 +50,8 @@ class Source(Generic[ConfigT]):
     Args:
         kind: its name in the site file and on the bus.
         about: one line for `--help`.
-        config: its settings; has `camera`, `pace` (1 real time, 0 as fast as possible) and `wait_for`.
+        config: its settings; has `camera`, `pace` (1 real time, 0 as fast as possible), `wait_for`
+            (services) and `await_s` (how long a paced source waits for them before it begins).
         make: opens the camera, warms kernels.
     """
 

@@ -63,6 +63,10 @@ class EventSourceConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
         "tracker",
         "decoder",
     )
+    # A camera waits for nobody; a scene or a recording at real time may, so that its first second is not for nobody.
+    await_s: Annotated[
+        float, Meta(ge=0.0, le=600.0, description="how long a paced source waits for them before it begins, s")
+    ] = 0.0
 
     def __post_init__(self) -> None:
         if (self.width == 0) != (self.height == 0):
