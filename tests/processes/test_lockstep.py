@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -54,3 +55,21 @@ def test_the_sonnet_is_read_without_an_error_from_a_hundred_metres(beacon_data: 
     text = "".join(str(line["text"]) for line in lines if line["type"] == "message")
     assert (beacon_data / "sonnet.txt").read_text() in text
     assert lines[-1]["type"] == "summary"
+
+
+def test_a_supervised_site_prints_the_lines_of_decode_byte_for_byte(scene: Scene, tmp_path: Path) -> None:
+    port = free_port()
+    path = tmp_path / "site.toml"
+    path.write_text(site(port, recording(scene.path), "", scene.beacons))
+    command = [sys.executable, "-m", "heliograph_services.cli"]
+    listener = subprocess.Popen(
+        [*command, "ids", str(path), "--json", "--frames", "--until-end", "--wait"], stdout=subprocess.PIPE
+    )
+    # A run folder's path must be short enough for a socket in it.
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run([*command, "up", str(path), "--until-end", "--run-dir", folder], check=True, timeout=100)
+    heard, _ = listener.communicate(timeout=60)
+    arguments = ["decode", str(scene.path), "--site", str(path), "--json", "--frames"]
+    decoded_lines = subprocess.run([*command, *arguments], check=True, capture_output=True, timeout=100).stdout
+    assert heard.count(b"\n") > 500
+    assert heard == decoded_lines[: decoded_lines.rindex(b'{"type": "summary"')]

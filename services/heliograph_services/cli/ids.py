@@ -1,15 +1,19 @@
 """`heliograph ids`: who is there, where, and what they say; a client of a running site like any other.
 
-On a terminal a table that follows; with `--json` one object a line (as `heliograph decode --json` prints them).
+On a terminal a table that follows; with `--json` one object a line. With `--json --frames --until-end` a replayed
+recording gives the lines of `heliograph decode --json --frames`, byte for byte, without its summary.
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
+import heapq
+import math
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 from heliograph.errors import BusError, ConfigError
@@ -18,7 +22,7 @@ from heliograph.shell.bus import Bus, connected
 from heliograph.shell.links import client_config
 from heliograph.shell.process import Stop
 from heliograph.shell.site import BusLinks, load_site
-from heliograph.wire import SCHEMAS
+from heliograph.wire import SCHEMAS, Header
 from heliograph_services.cli.lines import dump, for_people, lines_of
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
@@ -78,34 +82,53 @@ def follow(bus: Bus, arguments: argparse.Namespace, stop: Stop, table: _Table | 
     """Print what the site says until the end that was asked for.
 
     Raises:
-        BusError: nothing could be subscribed.
+        BusError: this reader was too slow.
     """
     names = ["ids", "messages", "progress", *(["frames"] if arguments.frames else [])]
     inbox = bus.subscribe({name: SCHEMAS[name] for name in names})
-    deadline = None if arguments.duration is None else time.monotonic() + arguments.duration
-    while not stop:
-        if deadline is not None and time.monotonic() >= deadline:
-            return
+    deadline = math.inf if arguments.duration is None else time.monotonic() + arguments.duration
+    ordered = _InOrder(_DRAIN_S if arguments.until_end else 0.0)
+    show = table.take if table is not None else functools.partial(_print, arguments)
+    while not stop and (now := time.monotonic()) < deadline:
         sample = inbox.get(_WAIT_S)
         opened = bus.open(sample) if sample else None
         if opened is None:
             if table is not None:
                 table.refresh()
-            continue
-        message = opened[1]
-        if isinstance(message, Progress):
-            if message.done and message.service == "decoder" and arguments.until_end:
-                until = time.monotonic() + _DRAIN_S
-                deadline = until if deadline is None else min(until, deadline)
-        elif table is not None:
-            table.take(message)
-        else:
-            _print(message, arguments)
+        elif not isinstance(opened[1], Progress):
+            ordered.put(*opened, now)
+        elif opened[1].done and opened[1].service == "decoder" and arguments.until_end:
+            deadline = min(deadline, now + 2 * _DRAIN_S)
+        for message in ordered.take(now):
+            show(message)
+    for message in ordered.take(math.inf):
+        show(message)
     if inbox.dropped:
         raise BusError(f"too slow: {sum(inbox.dropped.values())} messages were dropped here")
 
 
-def _print(message: Message, arguments: argparse.Namespace) -> None:
+class _InOrder:
+    """Gives messages in the order in which they were published, though keys of different priority overtake another.
+
+    Args:
+        hold_s: how long a message may be overtaken; 0 gives them as they come.
+    """
+
+    def __init__(self, hold_s: float) -> None:
+        self._hold_s = hold_s
+        self._waiting: list[tuple[int, int, float, Message]] = []
+        self._number = 0
+
+    def put(self, header: Header, message: Message, now: float) -> None:
+        self._number += 1
+        heapq.heappush(self._waiting, (header.mono_ns if self._hold_s else 0, self._number, now, message))
+
+    def take(self, now: float) -> Iterator[Message]:
+        while self._waiting and self._waiting[0][2] + self._hold_s <= now:
+            yield heapq.heappop(self._waiting)[3]
+
+
+def _print(arguments: argparse.Namespace, message: Message) -> None:
     for line in lines_of(message, frames=arguments.frames, refreshed=arguments.refreshed):
         print(dump(line) if arguments.json else for_people(line), flush=True)
 

@@ -33,7 +33,7 @@ def _parser(command: str) -> argparse.ArgumentParser:
     if command == "up":
         parser.add_argument("--foreground", action="store_true", help="stay, and stop everything on Ctrl-C or SIGTERM")
         parser.add_argument(
-            "--until-end", action="store_true", help="with --foreground: leave when all sources have ended"
+            "--until-end", action="store_true", help="stay in the foreground until all sources have ended"
         )
     if command == "status":
         parser.add_argument("--json", action="store_true", help="one JSON object a line")
@@ -50,7 +50,7 @@ def run(argv: list[str]) -> int:
     arguments = _parser(command).parse_args(rest)
     supervised = Supervised(plan_of(load_site(arguments.site), Path(arguments.run_dir)))
     if command == "up":
-        return _up(supervised, foreground=arguments.foreground, until_end=arguments.until_end)
+        return _up(supervised, foreground=arguments.foreground or arguments.until_end, until_end=arguments.until_end)
     if command == "down":
         return _down(supervised)
     return _status(supervised, as_json=arguments.json)
