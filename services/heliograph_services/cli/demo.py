@@ -28,6 +28,7 @@ from heliograph.shell.links import client_config
 from heliograph.shell.process import Stop
 from heliograph.shell.site import Site, load_site
 from heliograph.site import Beacon
+from heliograph.units import US_PER_S
 from heliograph.wire import SCHEMAS
 from heliograph_services.cli.demo_view import Lines, Table, View
 from heliograph_services.cli.plan import holding, plan_of
@@ -149,7 +150,7 @@ def _follow(
         sample = inbox.get(_WAIT_S)
         opened = bus.open(sample) if sample else None
         if opened is not None:
-            _take(opened[1], view, tally)
+            _take(opened[1], view, tally, round(arguments.duration * US_PER_S))
         if now - looked < _LOOK_S:
             continue
         looked = now
@@ -178,9 +179,11 @@ def _note_live(warm: set[str], text: str, *, present: bool) -> None:
         warm.add(found.parts[0])
 
 
-def _take(message: object, view: View, tally: Tally) -> None:
+def _take(message: object, view: View, tally: Tally, end_us: int) -> None:
     if isinstance(message, Identification):
-        view.state(message)
+        # That all beacons go when the scene ends is no loss to show.
+        if not message.lost or message.t_us < end_us:
+            view.state(message)
         if not message.lost:
             tally.identified.add(message.beacon)
             tally.refreshed[message.beacon] += 1
