@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import threading
+from pathlib import Path
 from types import FrameType
 from typing import Final
 
@@ -42,6 +43,15 @@ class Stop:
     def wait(self, seconds: float) -> bool:
         """Wait for the stop, at most that long; return whether it came."""
         return self._event.wait(seconds)
+
+
+def keep_kernels() -> None:
+    """Let numba keep compiled kernels inside the virtual environment, where the scripts keep them too.
+
+    Beside the sources, numba's own choice, a service would compile for half a minute what the scripts have compiled.
+    """
+    if sys.prefix != sys.base_prefix:
+        os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(sys.prefix) / "numba-cache"))
 
 
 def end_with_parent() -> None:

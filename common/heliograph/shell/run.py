@@ -19,7 +19,7 @@ import msgspec
 
 from heliograph.errors import ConfigError, HeliographError
 from heliograph.shell.config import add_flags, given_flags, resolve
-from heliograph.shell.process import Stop, end_with_parent
+from heliograph.shell.process import Stop, end_with_parent, keep_kernels
 from heliograph.shell.site import BusLinks, ServiceEntry, Site, load_site
 
 if TYPE_CHECKING:
@@ -108,6 +108,7 @@ def guarded(work: Callable[[Stop], int]) -> int:
     An operator's mistake is one line on stderr and status 2.
     """
     end_with_parent()
+    keep_kernels()
     stop = Stop()
     stop.install()
     try:

@@ -14,6 +14,7 @@ from typing import Final
 
 from heliograph import __version__
 from heliograph.errors import HeliographError
+from heliograph.shell.process import keep_kernels
 
 COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "decode": ("heliograph_services.cli.decode", "read a recording, in one process"),
@@ -53,6 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if command not in COMMANDS:
         print(f"heliograph: no command {command!r}; there are: {', '.join(COMMANDS)}", file=sys.stderr)
         return EXIT_USAGE
+    keep_kernels()
     try:
         run = import_module(COMMANDS[command][0]).run
         status: int = run(arguments if command in _SHARED else arguments[1:])
