@@ -109,3 +109,14 @@ def test_raw_events_never_cross_the_radio_even_when_the_ground_asks_for_all(tmp_
         on_ground.until(lambda heard: len(heard.messages["onsets"]) > 50, "onsets on the ground")
         on_board.until(lambda heard: len(heard.messages["events"]) > 50, "events on board")
         assert on_ground.messages["events"] == []
+
+
+def test_a_router_that_the_rule_does_not_know_is_told_to_the_operator(tmp_path: Path) -> None:
+    ground_port, drone_port = free_port(), free_port()
+    ground = Host(tmp_path, "ground", ported("ground.toml", {"7448": ground_port}).replace('id = "', 'id = "aa'), [])
+    drone = Host(tmp_path, "drone", ported("onboard.toml", {"7449": drone_port, "7448": ground_port}), [])
+    try:
+        assert drone.wait_for_log("router", "is not among `peers`: events may cross")
+    finally:
+        drone.close()
+        ground.close()

@@ -72,6 +72,16 @@ class Host:
         """Return what a process has written so far."""
         return (self.folder / f"{self.path.stem}-{kind}.log").read_text()
 
+    def wait_for_log(self, kind: str, text: str, timeout_s: float = PATIENCE_S) -> bool:
+        """Wait until a process has written the text; return whether it did while it lived."""
+        deadline = time.monotonic() + timeout_s
+        while text not in self.log(kind):
+            if time.monotonic() > deadline or self.processes[kind].poll() is not None:
+                return False
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.processes[kind].wait(0.05)
+        return True
+
     def alive(self) -> list[str]:
         """Return the kinds that still run."""
         return [kind for kind, process in self.processes.items() if process.poll() is None]

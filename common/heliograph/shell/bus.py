@@ -225,6 +225,10 @@ class Bus:
             _LOG.warning("refused: %s: %s", outcome.reason.value, outcome.detail)
         return None
 
+    def routers(self) -> list[str]:
+        """Return the Zenoh ids of the routers that this session is linked with."""
+        return sorted(str(zid) for zid in self._session.info.routers_zid())
+
     def watch(self, topic_prefix: str, on_change: Callable[[str, bool], None]) -> None:
         """Call on_change(key, present) for liveliness tokens below a topic, those already there included."""
         expression = everything_of(self.site, topic_prefix)

@@ -11,7 +11,7 @@ from typing import Final
 from heliograph.errors import ConfigError
 from heliograph.shell.process import Stop
 from heliograph.shell.run import guarded
-from heliograph.shell.site import load_site
+from heliograph.shell.site import RouterLinks, load_site
 
 _LOG = logging.getLogger(__name__)
 _WAIT_S: Final = 0.2
@@ -42,9 +42,18 @@ def _route(path: str, stop: Stop) -> int:
             return 0
         bus.announce("router", site.host)
         _LOG.info("routing", extra={"fields": {"listen": site.router.listen, "connect": site.router.connect}})
+        told: set[str] = set()
         while not stop.wait(_WAIT_S):
-            pass
+            if site.router.keep:
+                _tell_strangers(bus.routers(), site.router, told)
     return 0
+
+
+def _tell_strangers(routers: list[str], links: RouterLinks, told: set[str]) -> None:
+    """Say, once for each, which routers the kept topics are not kept from: the rule knows its peers by their ids."""
+    for stranger in sorted(set(routers) - set(links.peers) - told):
+        told.add(stranger)
+        _LOG.error("router %s is not among `peers`: %s may cross to it", stranger, ", ".join(links.keep))
 
 
 if __name__ == "__main__":
