@@ -41,6 +41,8 @@ _PUBLISHERS_LIMIT: Final = 512
 # Senders whose numbering is followed; a flood of invented senders must not fill the memory.
 _SENDERS_LIMIT: Final = 1024
 _HEARTBEAT_S: Final = 0.5
+# A reader ends when it has moved what its channel still held; on a crowded machine that has taken a second.
+_READER_END_S: Final = 10.0
 
 _PRIORITIES: Final = {
     "real_time": zenoh.Priority.REAL_TIME,
@@ -132,6 +134,7 @@ class Bus:
         self._seq: OrderedDict[str, int] = OrderedDict()
         self._publishers: OrderedDict[str, Any] = OrderedDict()
         self._held: list[Any] = []
+        self._readers: list[threading.Thread] = []
         self._lock = threading.Lock()
         self._expected: dict[str, type[Message]] = {}
 
@@ -209,7 +212,9 @@ class Bus:
                     return
                 inbox.put(Sample(topic, str(sample.key_expr), sample.payload.to_bytes(), time.monotonic_ns()))
 
-        threading.Thread(target=run, daemon=True, name=f"read-{topic}").start()
+        reader = threading.Thread(target=run, daemon=True, name=f"read-{topic}")
+        self._readers.append(reader)
+        reader.start()
 
     def open(self, sample: Sample) -> tuple[Header, Message] | None:
         """Return a sample's header and record; None where it is refused, which is counted."""
@@ -239,11 +244,16 @@ class Bus:
         self._held.append(self._session.liveliness().declare_subscriber(expression, changed, history=True))
 
     def close(self) -> None:
-        """Withdraw all that was declared, so that reader threads end."""
+        """Withdraw all that was declared, and wait until the reader threads have ended.
+
+        A thread that is still within Zenoh when the interpreter goes aborts the process ("exception not rethrown").
+        """
         for held in (*self._held, *self._publishers.values()):
             held.undeclare()
         self._held.clear()
         self._publishers.clear()
+        for reader in self._readers:
+            reader.join(_READER_END_S)
 
 
 def key_of_or_none(site: str, message: Message) -> str | None:

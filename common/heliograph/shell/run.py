@@ -11,6 +11,7 @@ import argparse
 import logging
 import os
 import sys
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
@@ -112,10 +113,17 @@ def guarded(work: Callable[[Stop], int]) -> int:
     stop = Stop()
     stop.install()
     try:
-        return work(stop)
+        status = work(stop)
     except HeliographError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)  # noqa: T201 - the operator's line
-        return EXIT_CONFIG
+        status = EXIT_CONFIG
+    if threading.active_count() > 1:
+        # A thread that still dials a router cannot be ended, and would abort the process should it return while the
+        # interpreter goes. What had to be said has been said.
+        logging.shutdown()
+        sys.stdout.flush()
+        os._exit(status)
+    return status
 
 
 def main_of(service: Service[Any], argv: Sequence[str] | None = None) -> int:
