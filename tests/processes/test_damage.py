@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,13 +14,16 @@ import zenoh
 
 from heliograph import truth
 from heliograph.keys import key
-from heliograph.messages import Health, Message
+from heliograph.messages import Health, Message, Progress
 from heliograph.shell.links import client_config
 from heliograph.shell.site import BusLinks
 from heliograph.wire import SCHEMAS
 from support.mutate import mutations
 from support.processes import Collector, Host, collecting, free_port
 from support.records import every_record
+from support.replay import SERVICES, in_one_process, recording, through_processes
+from support.replay import site as replayed
+from support.scene import Scene
 
 pytestmark = pytest.mark.processes
 
@@ -71,6 +77,37 @@ def everything_arrived(heard: Collector, sent: dict[str, int]) -> bool:
             if took < sent[schema]:
                 return False
     return True
+
+
+@contextlib.contextmanager
+def damaged_progress(port: int) -> Iterator[None]:
+    """Publish damaged words of progress, in the names of both awaited services, while a replay goes on."""
+    end = threading.Event()
+    links = BusLinks(connect=(f"tcp/127.0.0.1:{port}",), shared_memory=False)
+
+    def run() -> None:
+        with zenoh.open(zenoh.Config.from_json5(json.dumps(client_config(links)))) as session:
+            for service in ("tracker", "decoder"):
+                record = Progress(camera="cam0", service=service, t_us=1_000_000)
+                for payload in mutations(record, N // 2, seed=3):
+                    session.put(key("replay", "progress", "cam0", service), payload)
+                    if end.wait(0.0002):
+                        return
+
+    sender = threading.Thread(target=run)
+    sender.start()
+    try:
+        yield
+    finally:
+        end.set()
+        sender.join()
+
+
+def test_damaged_words_of_progress_neither_hurry_nor_stop_a_lockstep_source(scene: Scene, tmp_path: Path) -> None:
+    port = free_port()
+    text = replayed(port, recording(scene.path), "", scene.beacons)
+    found = through_processes(tmp_path, text, port, SERVICES, lambda: damaged_progress(port))
+    assert found == in_one_process(tmp_path / f"site{port}.toml")
 
 
 def test_damaged_messages_are_counted_by_reason_and_no_process_dies(tmp_path: Path) -> None:

@@ -15,9 +15,9 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from heliograph.core import Context
-from heliograph.errors import by_name
+from heliograph.errors import Refusal, by_name
 from heliograph.keys import parse
-from heliograph.messages import Progress
+from heliograph.messages import TIME_LIMIT_US, Progress
 from heliograph.shell.bus import Bus, connected
 from heliograph.shell.health import HealthReporter, Pulse
 from heliograph.shell.links import client_config
@@ -45,6 +45,7 @@ class _Awaited:
         self._bus = bus
         self._here: set[str] = set()
         self._t_us: dict[str, int] = {}
+        self._asked_us = -TIME_LIMIT_US
         self._changed = threading.Condition()
 
     def on_live(self, key_text: str, present: bool) -> None:
@@ -75,8 +76,14 @@ class _Awaited:
                 self._changed.wait(_WAIT_S)
         return True
 
-    def done(self, stop: Stop, t_us: int) -> bool:
-        """Wait until all are through with t_us; return False where a stop came first."""
+    def done(self, stop: Stop, t_us: int, sent_us: int) -> bool:
+        """Wait until all are through with t_us; return False where a stop came first.
+
+        Nobody can be through with more than was sent (sent_us): such a word is refused, not believed.
+        """
+        if t_us < self._asked_us:  # a new stream, whose time begins anew
+            self._t_us.clear()
+        self._asked_us = t_us
 
         def waiting() -> list[str]:
             return [name for name in self._services if self._t_us.get(name, t_us - 1) < t_us]
@@ -90,12 +97,19 @@ class _Awaited:
             if sample is not None:
                 opened = self._bus.open(sample)
                 if opened is not None and isinstance(opened[1], Progress):
-                    progress = opened[1]
-                    self._t_us[progress.service] = progress.t_us
+                    self._take(opened[1], sent_us)
             elif time.monotonic() - since > _PATIENCE_S:
                 since = time.monotonic()
                 _LOG.warning("waiting for %s to finish %d us", ", ".join(waiting()), t_us)
         return True
+
+    def _take(self, progress: Progress, sent_us: int) -> None:
+        if progress.service not in self._services:
+            return
+        if progress.t_us > sent_us:
+            self._bus.refusals[Refusal.TIME_JUMP] += 1
+            return
+        self._t_us[progress.service] = max(progress.t_us, self._t_us.get(progress.service, progress.t_us))
 
 
 def serve(source: Source[Any], launch: Launch[Any], stop: Stop) -> int:
@@ -140,7 +154,7 @@ def _lockstep(bus: Bus, launch: Launch[Any], stream: Stream, stop: Stop) -> bool
         _send(bus, step)
         marks |= {message.SCHEMA: message.time_us for message in step.messages if message.SCHEMA in _WATERMARKED}
         # Onsets come less often than events: no service can be further than what it was sent.
-        if len(marks) == len(_WATERMARKED) and not awaited.done(stop, min(marks.values())):
+        if len(marks) == len(_WATERMARKED) and not awaited.done(stop, min(marks.values()), max(marks.values())):
             return False
     return True
 
