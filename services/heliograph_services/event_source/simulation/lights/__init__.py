@@ -1,0 +1,1 @@
+"""What makes lights bright and dark: beacons with their frames, lamps and blinkers, edges from outside."""

@@ -1,0 +1,1 @@
+"""What a simulation leaves: files, truth, pictures."""

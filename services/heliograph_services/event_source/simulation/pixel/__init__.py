@@ -1,0 +1,1 @@
+"""The pixels: from light to events, by published laws."""
