@@ -92,6 +92,10 @@ class TrackerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     # Two coincide by chance in 1 Mev/s of ungated noise, three hardly do; at 50 bit/s every safe word has four edges
     # in 220 ms.
     confirm_hits: Annotated[int, Meta(ge=1, le=100, description="windows with a round target before publication")] = 3
+    # An edge that crosses never shows it; every safe word at 50 bit/s has four edges in 220 ms, so three flips in .3 s.
+    confirm_blinks: Annotated[
+        int, Meta(ge=0, le=100, description="of them, windows that show a blinking light and no crossing edge")
+    ] = 2
     confirm_us: Annotated[_Time, Meta(description="the hits must come within this time of the birth")] = 300_000
     # Delays without a target: paper-notes 6 (2 s and .3 s); ten dark bits at 50 bit/s are .2 s.
     coast_new_us: Annotated[_Time, Meta(description="silence that ends a track of status new")] = 300_000

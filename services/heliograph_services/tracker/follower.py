@@ -37,6 +37,13 @@ SHRINK: Final = 0.1
 # A centre this far off the sensor, in radii and pixels, has left.
 LEAVE_RADII: Final = 2.0
 LEAVE_PX: Final = 8.0
+# A blinking light fires all its pixels one way, then all of them the other way; a crossing edge fires each pixel one
+# way, and a texture goes on with one polarity or mixes both among different pixels. So a window shows blinking if a
+# share of its pixels went both ways within it (fast light), or if its polarity is clear and not the last clear one
+# (slow light). Clear is the paper's |P| >= .5. The edges of 5 kbit/s put both into every pixel of a 5 ms window that
+# has more than one event; noise on an edge does so in one of twenty.
+BOTH_SHARE: Final = 0.25
+CLEAR: Final = 0.5
 
 _REFUSED: Final = (
     (shape.TOO_FEW, Refusal.TOO_FEW_PIXELS),
@@ -268,6 +275,11 @@ class GridFollower:
         on = np.bincount(owner, targets.on[used], k)
         off = np.bincount(owner, targets.off[used], k)
         table.polarity[rows] = (on - off) / (on + off)
+        both = np.bincount(owner, targets.both[used], k) >= BOTH_SHARE * total
+        sign = _sign(table.polarity[rows])
+        flipped = sign * table.sign[rows] < 0
+        table.blinks[rows] += both | flipped
+        table.sign[rows] = np.where(sign == 0, table.sign[rows], sign)
         table.seen_us[rows] = end_us
         table.hits[rows] += targets.verdict[chosen] == shape.ROUND
         rate = np.where(seen_px > table.size_px[rows], GROW, SHRINK * share)
@@ -277,9 +289,11 @@ class GridFollower:
         table.radius_px[rows] += np.where(alone, rate, 0.0) * (targets.radius_px[chosen] - table.radius_px[rows])
 
     def _confirm(self) -> None:
-        """Name the rows in birth that were seen often enough, in the order of birth."""
+        """Name the rows in birth that were seen and blinked often enough, in the order of birth."""
         table, config = self.table, self._config
-        ripe = np.flatnonzero(~table.named & (table.hits >= config.confirm_hits))
+        ripe = np.flatnonzero(
+            ~table.named & (table.hits >= config.confirm_hits) & (table.blinks >= config.confirm_blinks)
+        )
         if len(ripe) == 0:
             return
         alive = np.ones(len(table), np.bool_)
@@ -321,12 +335,15 @@ class GridFollower:
             return
         self._counters["births"] += len(new)
         on, off = targets.on[new].astype(np.float64), targets.off[new].astype(np.float64)
+        polarity = (on - off) / (on + off)
         table.append(
             xy_px=np.stack([targets.x_px[new], targets.y_px[new]], axis=1),
             var_px2=np.full(len(new), self._noise_px**2),
             radius_px=targets.radius_px[new],
             size_px=self._seen_px(targets.pixels[new]),
-            polarity=(on - off) / (on + off),
+            polarity=polarity,
+            blinks=targets.both[new] >= BOTH_SHARE * targets.pixels[new],
+            sign=_sign(polarity),
             born_us=window.start_us,
             seen_us=window.end_us,
             speed_var=config.initial_speed_px_s**2,
@@ -334,6 +351,11 @@ class GridFollower:
 
     def _seen_px(self, pixels: npt.NDArray[Any]) -> Floats:
         return pixels.astype(np.float64) * self._pool_px**2
+
+
+def _sign(polarity: Floats) -> Longs:
+    """Return 1 or -1 where the polarity is clear, else 0."""
+    return np.where(np.abs(polarity) >= CLEAR, np.sign(polarity), 0.0).astype(np.int64)
 
 
 class OnePixelFollower:

@@ -46,6 +46,7 @@ class Targets:
         reach_px: (k,) float64, covers all of them.
         on: (k,) int32, events that became brighter.
         off: (k,) int32.
+        both: (k,) int32, pixels that became brighter and darker within the window.
         roundness: (k,) float64.
         verdict: (k,) uint8: ROUND, TOO_FEW, TOO_MANY or NOT_ROUND.
         piece: (k,) bool: cut out of a larger cluster (`splitting`).
@@ -58,6 +59,7 @@ class Targets:
     reach_px: Floats
     on: Ints
     off: Ints
+    both: Ints
     roundness: Floats
     verdict: npt.NDArray[np.uint8]
     piece: npt.NDArray[np.bool_]
@@ -96,7 +98,7 @@ def _members(labels: Ints, count: int, first: Ints, member: Ints) -> None:
 def _measure(
     x_px: Ints, y_px: Ints, on: Ints, off: Ints, first: Ints, member: Ints, covered: float, out: Floats, events: Ints
 ) -> None:
-    """Fill out (5, k): x, y, var_x + var_y, covering radius and reach of the centres; events (2, k): on, off."""
+    """Fill out (5, k): x, y, var_x + var_y, covering radius and reach of the centres; events (3, k): on, off, both."""
     for c in range(out.shape[1]):
         start, stop = first[c], first[c + 1]
         n = stop - start
@@ -108,6 +110,8 @@ def _measure(
             sy += y_px[i]
             events[0, c] += on[i]
             events[1, c] += off[i]
+            if on[i] > 0 and off[i] > 0:
+                events[2, c] += 1
         x = sx / n
         y = sy / n
         d2 = np.empty(n, np.float64)
@@ -138,7 +142,7 @@ def measure(active: Active, labels: Ints, piece: npt.NDArray[np.bool_], pool_px:
     first = np.zeros(count + 1, np.int32)
     member = np.empty(len(active), np.int32)
     out = np.zeros((5, count), np.float64)
-    events = np.zeros((2, count), np.int32)
+    events = np.zeros((3, count), np.int32)
     _members(labels, count, first, member)
     _measure(active.x_px, active.y_px, active.on, active.off, first, member, COVERED, out, events)
     pixels = np.diff(first)
@@ -158,6 +162,7 @@ def measure(active: Active, labels: Ints, piece: npt.NDArray[np.bool_], pool_px:
         reach_px=(out[4] + 0.5) * pool_px,
         on=events[0],
         off=events[1],
+        both=events[2],
         roundness=roundness,
         verdict=verdict,
         piece=piece,

@@ -52,6 +52,8 @@ class TrackTable:
         seen_us: (n,) int64, end of the window of the last target.
         invalid_us: (n,) int64, since when the decoder calls it invalid, else NEVER.
         hits: (n,) int64, windows with a round target.
+        blinks: (n,) int64, windows that show a blinking light and no crossing edge (`follower.BOTH_SHARE`).
+        sign: (n,) int64, of the last clear polarity: 1, -1, or 0 before there was one.
         status: (n,) int64, index into WORDS.
         radius_px: (n,) float64, covers nine tenths of the target's pixels, smoothed.
         size_px: (n,) float64, distinct sensor pixels of the target, smoothed.
@@ -61,7 +63,7 @@ class TrackTable:
     """
 
     COLUMNS: Final = (
-        "number", "born_us", "seen_us", "invalid_us", "hits", "status",
+        "number", "born_us", "seen_us", "invalid_us", "hits", "blinks", "sign", "status",
         "radius_px", "size_px", "polarity", "state", "cov",
     )  # fmt: skip
 
@@ -71,6 +73,8 @@ class TrackTable:
         self.seen_us: Longs = np.empty(0, np.int64)
         self.invalid_us: Longs = np.empty(0, np.int64)
         self.hits: Longs = np.empty(0, np.int64)
+        self.blinks: Longs = np.empty(0, np.int64)
+        self.sign: Longs = np.empty(0, np.int64)
         self.status: Longs = np.empty(0, np.int64)
         self.radius_px: Floats = np.empty(0, np.float64)
         self.size_px: Floats = np.empty(0, np.float64)
@@ -99,6 +103,8 @@ class TrackTable:
         radius_px: Floats,
         size_px: Floats,
         polarity: Floats,
+        blinks: Flags,
+        sign: Longs,
         born_us: int,
         seen_us: int,
         speed_var: float,
@@ -111,6 +117,8 @@ class TrackTable:
             radius_px: (k,) float64.
             size_px: (k,) float64.
             polarity: (k,) float64.
+            blinks: (k,) bool, whether the first window shows it.
+            sign: (k,) int64, of a clear polarity, else 0.
             born_us: of all.
             seen_us: of all.
             speed_var: variance of the unknown speed on each axis, (px/s)^2.
@@ -125,6 +133,8 @@ class TrackTable:
             "seen_us": np.full(k, seen_us, np.int64),
             "invalid_us": np.full(k, NEVER, np.int64),
             "hits": np.ones(k, np.int64),
+            "blinks": blinks.astype(np.int64),
+            "sign": sign,
             "status": np.full(k, NEW, np.int64),
             "radius_px": radius_px,
             "size_px": size_px,
