@@ -14,6 +14,7 @@ band. Times in a file are seconds where people choose them (paths) and microseco
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated, Literal
 
 import msgspec
@@ -49,22 +50,48 @@ class Sine(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class Circle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="circle"):
-    """A horizontal circle, clockwise seen from above where turns_s is positive."""
+    """A horizontal circle: ``centre + radius (sin a, cos a)``, a = phase + 2 pi turns(t), north at a = 0.
+
+    One turn takes turn_s, clockwise seen from above where that is positive. With fastest_turn_s the speed rises
+    evenly from one turn in turn_s to one in fastest_turn_s over ramp_s, falls back over as long, and so on.
+    """
 
     centre_m: Point
     radius_m: Size
     turn_s: Annotated[float, Meta(ge=-100_000.0, le=100_000.0)]
     phase_deg: Degrees = 0.0
+    fastest_turn_s: Annotated[float, Meta(ge=-100_000.0, le=100_000.0)] | None = None
+    ramp_s: Seconds = 10.0
+
+    def __post_init__(self) -> None:
+        # A millisecond a turn: an image on it would be anywhere between two nodes.
+        for name, value in (("turn_s", self.turn_s), ("fastest_turn_s", self.fastest_turn_s)):
+            if value is not None and abs(value) < 1e-3:
+                raise ValueError(f"{name} must be at least 0.001 or at most -0.001, not {value:g}")
 
 
 class Shuttle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="shuttle"):
-    """To and fro between two points at one speed; it turns round within turn_s, with constant acceleration."""
+    """To and fro between two points at one speed; it turns round within turn_s, with constant acceleration.
+
+    It stands at from_m until start_s, then sets off with that acceleration.
+    """
 
     from_m: Point
     to_m: Point
     speed_m_s: Speed
     turn_s: Annotated[float, Meta(ge=0.0, le=100.0)] = 0.2
     start_s: Annotated[float, Meta(ge=0.0, le=100_000.0)] = 0.0
+
+    def __post_init__(self) -> None:
+        length_m = sum((b - a) ** 2 for a, b in zip(self.from_m, self.to_m, strict=True)) ** 0.5
+        if length_m <= 0.0:
+            raise ValueError(f"to_m must differ from from_m, not be {list(self.to_m)} too")
+        # Half a turn at each end covers speed turn_s / 4.
+        if self.turn_s > 2.0 * length_m / self.speed_m_s:
+            raise ValueError(
+                f"turn_s must be at most {2.0 * length_m / self.speed_m_s:g}"
+                f" (2 |to_m - from_m| / speed_m_s), not {self.turn_s:g}"
+            )
 
 
 class Waypoints(
@@ -81,6 +108,22 @@ class Waypoints(
     ]
     smooth_s: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.0
 
+    def __post_init__(self) -> None:
+        rising([point[0] for point in self.points])
+
+
+def rising(times_s: list[float]) -> None:
+    """Check the times of points.
+
+    Raises:
+        ValueError: they do not begin at 0 or do not rise.
+    """
+    if times_s[0] != 0.0:
+        raise ValueError(f"points must begin at 0 s, not {times_s[0]:g}")
+    for a, b in pairwise(times_s):
+        if b - a < 1e-3:
+            raise ValueError(f"points must rise in time by at least 0.001 s each, not go from {a:g} to {b:g} s")
+
 
 Path = Still | Sine | Circle | Shuttle | Waypoints
 
@@ -89,7 +132,8 @@ class Attitude(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Where the camera looks: angles, and how they turn.
 
     `yaw_deg + yaw_rate_deg_s t + yaw_swing_deg sin(2 pi t / yaw_swing_s)`; points (t_s, yaw, pitch, roll) instead make
-    straight lines between them, rounded over smooth_s, begun anew after the last.
+    straight lines between them, rounded over smooth_s, begun anew after the last (a difference of whole turns between
+    the last and the first is no jump).
     """
 
     yaw_deg: Degrees = 0.0
@@ -104,6 +148,15 @@ class Attitude(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     ] = ()
     smooth_s: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.0
 
+    def __post_init__(self) -> None:
+        if not self.points:
+            return
+        if len(self.points) < 2:
+            raise ValueError("points must be at least 2, not 1")
+        rising([point[0] for point in self.points])
+        if (self.yaw_deg, self.pitch_deg, self.roll_deg, self.yaw_rate_deg_s, self.yaw_swing_deg) != (0, -90, 0, 0, 0):
+            raise ValueError("points must stand alone: they give yaw, pitch and roll themselves")
+
 
 class Shake(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Tremor of a hand or of rotors: band-limited noise on the three angles."""
@@ -111,6 +164,10 @@ class Shake(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     rms_deg: Annotated[float, Meta(ge=0.0, le=10.0)]
     low_hz: Annotated[float, Meta(gt=0.0, le=500.0)] = 1.0
     high_hz: Annotated[float, Meta(gt=0.0, le=500.0)] = 10.0
+
+    def __post_init__(self) -> None:
+        if self.low_hz > self.high_hz:
+            raise ValueError(f"high_hz must be at least low_hz, {self.low_hz:g}, not {self.high_hz:g}")
 
 
 # ---- the camera ------------------------------------------------------------------------------------------------------
@@ -214,6 +271,8 @@ class Emitter(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     def __post_init__(self) -> None:
         if (self.path is None) == (not self.carried_by):
             raise ValueError(f"{self.name} must have either path or carried_by")
+        if sum(a * a for a in self.axis) < 1e-12:
+            raise ValueError(f"axis must have a direction, not be {list(self.axis)}")
 
 
 class BeaconSpec(Emitter, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -303,7 +362,8 @@ class ClutterSpec(Emitter, frozen=True, kw_only=True, forbid_unknown_fields=True
 class Crowd(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Many beacons, spread over an area without touching, each moving to and fro on its own ellipse, each with an ID.
 
-    The names are prefix000, prefix001 ...; payloads are the modulation's first good ones, evenly spread.
+    The names are prefix000, prefix001 ...; the payloads are evenly spread over those that the modulation can send and
+    advises to send. area_m is (x_min, y_min, x_max, y_max), on the ground; the LEDs are z_m above it.
     """
 
     prefix: Annotated[str, Meta(pattern="^[a-z][a-z0-9_]{0,31}$")] = "b"
@@ -316,10 +376,16 @@ class Crowd(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     speed_m_s: Annotated[float, Meta(ge=0.0, le=100.0)] = 0.0
     intensity_w_sr: Annotated[float, Meta(gt=0.0, le=1_000.0)] = 0.4
     diameter_m: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.02
+    z_m: Annotated[float, Meta(ge=0.0, le=10_000.0)] = 0.02
+
+    def __post_init__(self) -> None:
+        x0, y0, x1, y1 = self.area_m
+        if x1 <= x0 or y1 <= y0:
+            raise ValueError(f"area_m must be [x_min, y_min, x_max, y_max], not {list(self.area_m)}")
 
 
 class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A scene. `[surroundings]` irradiance is that of the whole ground; `[[mains]]` adds to it."""
+    """A scene. irradiance_w_m2 is that of the whole ground; `[[mains]]` adds to it."""
 
     about: str = ""
     # How long its story is; it may be run for shorter or longer.
