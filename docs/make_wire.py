@@ -55,10 +55,11 @@ CHUNKS: Final = {
     "live": "{service}/{instance}",
 }
 RESERVED: Final = ("flow", "clock", "image", "beacon")
-# The two streams of arrays check their bodies by records of their own.
+# What travels as packed arrays checks its body by a record of its own.
 BODIES: Final[dict[str, type[msgspec.Struct]]] = {
     "events": streams._EventsBody,  # noqa: SLF001 - the page documents just this
     "onsets": streams._OnsetsBody,  # noqa: SLF001
+    "truth": truth._TruthBody,  # noqa: SLF001
 }
 
 

@@ -71,8 +71,12 @@ class _OnsetsBody(_Window, frozen=True, kw_only=True):
     columns: bytes
 
 
-def _inflated(packed: bytes, wanted: int) -> bytes:
-    """Return the columns; at most one byte more than wanted is ever unpacked."""
+def inflated(packed: bytes, wanted: int) -> bytes:
+    """Return zlib-packed columns; at most one byte more than wanted is ever unpacked.
+
+    Raises:
+        ValueError: they are damaged, or of another length.
+    """
     unpacker = zlib.decompressobj()
     try:
         raw = unpacker.decompress(packed, wanted + 1)
@@ -224,7 +228,7 @@ class Onsets(Message, frozen=True, kw_only=True):
         if span % raw.tick_us or raw.t0_us % raw.tick_us or span // raw.tick_us > TICKS_LIMIT:
             raise ValueError(f"window [{raw.t0_us}, {raw.t1_us}) must hold whole ticks of {raw.tick_us} us")
         ticks, n = span // raw.tick_us, raw.n
-        columns = _inflated(raw.columns, 2 * ticks + 6 * n)
+        columns = inflated(raw.columns, 2 * ticks + 6 * n)
         per_tick = np.frombuffer(columns, "<u2", ticks)
         if int(per_tick.sum(dtype=np.int64)) != raw.n:
             raise ValueError(f"per_tick must add up to n = {raw.n}, not {per_tick.sum(dtype=np.int64)}")

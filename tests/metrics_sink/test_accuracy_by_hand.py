@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 
+import msgspec
 import pytest
 
 from heliograph.core import Context
@@ -116,7 +117,7 @@ def only_frame(number: int) -> list[Message]:
     for window in windows:
         keep = [i for i, t1_us in enumerate(window.frame_t1_us) if t1_us == end]
         columns = {name: [getattr(window, name)[i] for i in keep] for name in FRAME_COLUMNS}
-        kept.append(type(window)(**{**window.to_body(), **columns}))
+        kept.append(msgspec.structs.replace(window, **columns))
     return kept
 
 

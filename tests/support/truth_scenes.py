@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import msgspec
+import numpy as np
 
 from heliograph.messages import Change, Data, Frames, Identification, Link, Tracks
 from heliograph.truth import Truth
@@ -51,11 +52,16 @@ def truth(beacons: list[Sent], until_us: int, window_us: int = WINDOW_US, camera
                 camera=camera,
                 t0_us=t0_us,
                 t1_us=t1_us,
+                sensor="ideal",
+                fidelity="full",
                 beacon=[b.name for b in beacons],
                 protocol=[b.protocol for b in beacons],
                 x_px=[b.x_at(t1_us) for b in beacons],
                 y_px=[b.y_px for b in beacons],
                 radius_px=[b.radius_px for b in beacons],
+                x_m=[0.0 for _ in beacons],
+                y_m=[0.0 for _ in beacons],
+                z_m=[0.0 for _ in beacons],
                 in_view=[not _in(b.outside, t0_us, t1_us) for b in beacons],
                 visible=[not _in(b.hidden + b.outside, t0_us, t1_us) for b in beacons],
                 frame_beacon=[i for i, _, _ in frames],
@@ -65,6 +71,9 @@ def truth(beacons: list[Sent], until_us: int, window_us: int = WINDOW_US, camera
                 frame_x_px=[b.x_at(end) for _, b, end in frames],
                 frame_y_px=[b.y_px for _, b, _ in frames],
                 frame_visible=[not _in(b.hidden + b.outside, end - b.frame_us, end) for _, b, end in frames],
+                edge_beacon=np.empty(0, np.uint16),
+                edge_us=np.empty(0),
+                edge_on=np.empty(0, np.bool_),
             )
         )
     return messages

@@ -6,6 +6,8 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Final
 
+import msgspec
+
 from heliograph.errors import Refusal, Refusals
 from heliograph.messages import Data, Frames, Identification, Link, Message, Tracks
 from heliograph.truth import Truth
@@ -170,7 +172,7 @@ class Book:
             return
         n = 1 + len(message.frame_t1_us)
         if self._room(n) == n:
-            self._truths.setdefault(_second_of(message), []).append(message)
+            self._truths.setdefault(_second_of(message), []).append(_without_edges(message))
 
     def _take_state(self, message: Identification) -> None:
         if self._room(1):
@@ -270,6 +272,12 @@ class Book:
 
 def _order(frame: Received) -> tuple[int, str, str, int, float, float]:
     return frame.order
+
+
+def _without_edges(truth: Truth) -> Truth:
+    """Return a truth as it is scored: its edges, by far its largest part, would only wait."""
+    edges = {name: getattr(truth, name)[:0].copy() for name in ("edge_beacon", "edge_us", "edge_on")}
+    return msgspec.structs.replace(truth, **edges)
 
 
 def _second(t_us: int) -> int:

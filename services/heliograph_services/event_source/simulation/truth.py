@@ -33,11 +33,16 @@ def truth_of(scene: Scene, camera: str, t0_us: int, t1_us: int) -> Truth:
         camera=camera,
         t0_us=t0_us,
         t1_us=t1_us,
+        sensor="ideal",
+        fidelity="full",
         beacon=[spec.name for spec in scenario.beacons],
         protocol=[spec.protocol for spec in scenario.beacons],
         x_px=[x for x, _ in places],
         y_px=[y for _, y in places],
         radius_px=[spec.radius_px for spec in scenario.beacons],
+        x_m=[0.0 for _ in places],
+        y_m=[0.0 for _ in places],
+        z_m=[0.0 for _ in places],
         in_view=in_view,
         visible=list(in_view),
         frame_beacon=[i for _, i in frames],
@@ -47,6 +52,9 @@ def truth_of(scene: Scene, camera: str, t0_us: int, t1_us: int) -> Truth:
         frame_x_px=[x for x, _, _ in tracks],
         frame_y_px=[y for _, y, _ in tracks],
         frame_visible=[visible for _, _, visible in tracks],
+        edge_beacon=np.empty(0, np.uint16),
+        edge_us=np.empty(0),
+        edge_on=np.empty(0, np.bool_),
     )
 
 
