@@ -16,6 +16,8 @@ from heliograph.messages import Name
 
 Shape = Literal["distinct", "paper"]
 Cost = Literal["l2", "l1"]
+Clustering = Literal["grid", "scikit-learn"]
+Kalman = Literal["batched", "filterpy"]
 
 _Time = Annotated[int, Meta(ge=0, le=60_000_000)]
 _Pixels = Annotated[int, Meta(ge=1, le=1_000_000)]
@@ -32,6 +34,15 @@ class TrackerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     period_us: Annotated[
         int, Meta(ge=PERIOD_MIN_US, le=10_000_000, description="tracks are published at its multiples")
     ] = 100_000
+
+    # -- backends --
+    # The fast ones; the others are the paper's kind of stack, give the same tracks, and cost 40 times as much or more.
+    clustering: Annotated[
+        Clustering, Meta(description="who clusters: grid, or scikit-learn (needs heliograph[reference])")
+    ] = "grid"
+    kalman: Annotated[Kalman, Meta(description="who filters: batched, or filterpy (needs heliograph[reference])")] = (
+        "batched"
+    )
 
     # -- clustering --
     # A spot at 711 px/s keeps a roundness of .93 in 5 ms and has .17 in the paper's 100 ms; 10 ms is the most.

@@ -23,8 +23,10 @@ from heliograph.errors import Refusal, Refusals
 from heliograph.messages import Message, Status, Tracks
 from heliograph.streams import Onsets
 from heliograph.units import US_PER_S
-from heliograph_services.tracker.config import TrackerConfig
-from heliograph_services.tracker.follower import Follower, GridFollower, Numbers, OnePixelFollower
+from heliograph_services.tracker import backends
+from heliograph_services.tracker.config import Clustering, Kalman, TrackerConfig
+from heliograph_services.tracker.follower import Follower, GridFollower, Numbers
+from heliograph_services.tracker.one_pixel import OnePixelFollower
 from heliograph_services.tracker.windows import Cutter
 
 # A gap of onsets up to this long is a lost message or two: tracks coast through it, period by period. A longer one is
@@ -59,6 +61,9 @@ class TrackerCore:
         config: settings.
         context: the process.
 
+    Raises:
+        ConfigError: a backend's package is not installed.
+
     Attributes:
         refusals: messages by reason, and targets that no track used and that may not become one.
         counters: see `COUNTERS`.
@@ -70,6 +75,7 @@ class TrackerCore:
         self.counters: dict[str, int] = dict.fromkeys(COUNTERS, 0)
         self.gauges: dict[str, float] = {"tracks": 0.0, "births": 0.0, "quarantined": 0.0}
         self._config = config
+        self._backends = backends.chosen(config)
         self._context = context
         self._numbers = Numbers()
         self._stream: _Stream | None = None
@@ -174,6 +180,7 @@ class TrackerCore:
         else:
             follower = GridFollower(
                 config,
+                self._backends,
                 width=onsets.width,
                 height=onsets.height,
                 pool_px=onsets.pool_px,
@@ -296,10 +303,19 @@ def make_core(config: TrackerConfig, context: Context) -> TrackerCore:
     return TrackerCore(config, context)
 
 
-def warm() -> None:
-    """Compile every kernel, or load it from the cache: three discs are born, followed, touch, and scatter."""
+def warm(clustering: Clustering = "grid", kalman: Kalman = "batched") -> None:
+    """Compile every kernel, or load it from the cache: three discs are born, followed, touch, and scatter.
+
+    Args:
+        clustering: the backend to warm; other people's libraries load parts of themselves at their first use.
+        kalman: likewise.
+
+    Raises:
+        ConfigError: a backend's package is not installed.
+    """
     core = TrackerCore(
-        TrackerConfig(confirm_hits=1, quarantine_us=0, quarantine_max_us=0), Context("warm", "warm", False)
+        TrackerConfig(clustering=clustering, kalman=kalman, confirm_hits=1, quarantine_us=0, quarantine_max_us=0),
+        Context("warm", "warm", False),
     )
     yy, xx = np.mgrid[0:64, 0:64]
     tick_us = 5_000

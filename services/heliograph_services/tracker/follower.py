@@ -15,9 +15,9 @@ import numpy.typing as npt
 from heliograph.errors import Refusal, Refusals
 from heliograph.messages import StatusWord
 from heliograph.units import US_PER_S
-from heliograph_services.tracker import association, kalman, shape
+from heliograph_services.tracker import association, shape
 from heliograph_services.tracker.association import Candidates, Gate
-from heliograph_services.tracker.clustering import Clusterer
+from heliograph_services.tracker.backends import Backends
 from heliograph_services.tracker.config import TrackerConfig
 from heliograph_services.tracker.quarantine import Quarantine
 from heliograph_services.tracker.shape import ShapeFilter, Targets
@@ -89,6 +89,7 @@ class GridFollower:
 
     Args:
         config: settings.
+        backends: who clusters and who filters.
         width: sensor columns.
         height: sensor rows.
         pool_px: side of an onset pixel.
@@ -101,6 +102,7 @@ class GridFollower:
     def __init__(
         self,
         config: TrackerConfig,
+        backends: Backends,
         *,
         width: int,
         height: int,
@@ -116,7 +118,10 @@ class GridFollower:
         self._numbers = numbers
         self._counters = counters
         self._refusals = refusals
-        self._clusterer = Clusterer(-(-width // pool_px), -(-height // pool_px), config.eps_px, config.min_events)
+        self._filters = backends.filters
+        self._clusterer = backends.clustering(
+            -(-width // pool_px), -(-height // pool_px), config.eps_px, config.min_events
+        )
         self._rule = ShapeFilter(config.min_pixels, config.max_pixels, config.min_roundness, config.shape)
         # A pooled entry lies anywhere in its square.
         self._noise_px = float(np.sqrt(config.measurement_noise_px**2 + (pool_px**2 - 1) / 12))
@@ -195,13 +200,13 @@ class GridFollower:
     def _extrapolated(self, at_us: int) -> tuple[Floats, Floats]:
         """Return (n, 4) states and (n,) mean variances of the two axes at a time after the last window."""
         state, cov = self.table.state.copy(), self.table.cov.copy()
-        kalman.predict(state, cov, (at_us - self._at_us) / US_PER_S, self._config.process_noise_px2_s3)
+        self._filters.predict(state, cov, (at_us - self._at_us) / US_PER_S, self._config.process_noise_px2_s3)
         return state, (cov[:, 0] + cov[:, 3]) / 2
 
     def _predict(self, to_us: int) -> None:
         if len(self.table):
             dt_s = (to_us - self._at_us) / US_PER_S
-            kalman.predict(self.table.state, self.table.cov, dt_s, self._config.process_noise_px2_s3)
+            self._filters.predict(self.table.state, self.table.cov, dt_s, self._config.process_noise_px2_s3)
         self._at_us = to_us
 
     def _targets(self, window: Window) -> Targets | None:
@@ -271,7 +276,7 @@ class GridFollower:
         r = np.empty((k, 2))
         r[:] = (self._noise_px**2 + (1 - trust) * table.radius_px[rows] ** 2 / 4)[:, None]
         r += (table.state[rows, 2:] * self._gate.window_s) ** 2 / 12
-        kalman.update(table.state, table.cov, rows, z, r, self._config.max_speed_px_s)
+        self._filters.update(table.state, table.cov, rows, z, r, self._config.max_speed_px_s)
         on = np.bincount(owner, targets.on[used], k)
         off = np.bincount(owner, targets.off[used], k)
         table.polarity[rows] = (on - off) / (on + off)
@@ -356,48 +361,3 @@ class GridFollower:
 def _sign(polarity: Floats) -> Longs:
     """Return 1 or -1 where the polarity is clear, else 0."""
     return np.where(np.abs(polarity) >= CLEAR, np.sign(polarity), 0.0).astype(np.int64)
-
-
-class OnePixelFollower:
-    """A camera of one pixel (a photodiode, a recording without places) is one track, from its first moment on."""
-
-    def __init__(self, t0_us: int, numbers: Numbers) -> None:
-        self._number = numbers.take()
-        self._born_us = t0_us
-        self._seen_us = t0_us
-        self._polarity = 0.0
-        self._status: StatusWord = "new"
-
-    def step(self, window: Window) -> None:
-        """Take note of the window's polarity."""
-        on, off = int(window.on.sum(dtype=np.int64)), int(window.off.sum(dtype=np.int64))
-        if on + off:
-            self._polarity = round((on - off) / (on + off), 3)
-            self._seen_us = window.end_us
-
-    def judge(self, words: dict[int, StatusWord], at_us: int) -> None:
-        """Take the decoder's word; it is passed on, and ends nothing."""
-        del at_us
-        self._status = words.get(self._number, self._status)
-
-    def expire(self, at_us: int) -> None:
-        """Nothing ends: there is nowhere else to look."""
-
-    def snapshot(self, at_us: int) -> Snapshot:
-        """Return the one track, at (0, 0)."""
-        del at_us
-        return Snapshot(
-            number=[self._number],
-            born_us=[self._born_us],
-            seen_us=[self._seen_us],
-            x_px=[0.0],
-            y_px=[0.0],
-            vx_px_s=[0.0],
-            vy_px_s=[0.0],
-            # Uniform over the pixel.
-            var_px2=[round(1 / 12, 3)],
-            radius_px=[0.5],
-            size_px=[1.0],
-            polarity=[self._polarity],
-            status=[self._status],
-        )

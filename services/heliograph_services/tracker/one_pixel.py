@@ -1,0 +1,55 @@
+"""A camera of one pixel: there is nothing to cluster, and nowhere to go."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from heliograph.messages import StatusWord
+from heliograph_services.tracker.follower import Numbers
+from heliograph_services.tracker.tracks import Snapshot
+from heliograph_services.tracker.windows import Window
+
+
+class OnePixelFollower:
+    """A camera of one pixel (a photodiode, a recording without places) is one track, from its first moment on."""
+
+    def __init__(self, t0_us: int, numbers: Numbers) -> None:
+        self._number = numbers.take()
+        self._born_us = t0_us
+        self._seen_us = t0_us
+        self._polarity = 0.0
+        self._status: StatusWord = "new"
+
+    def step(self, window: Window) -> None:
+        """Take note of the window's polarity."""
+        on, off = int(window.on.sum(dtype=np.int64)), int(window.off.sum(dtype=np.int64))
+        if on + off:
+            self._polarity = round((on - off) / (on + off), 3)
+            self._seen_us = window.end_us
+
+    def judge(self, words: dict[int, StatusWord], at_us: int) -> None:
+        """Take the decoder's word; it is passed on, and ends nothing."""
+        del at_us
+        self._status = words.get(self._number, self._status)
+
+    def expire(self, at_us: int) -> None:
+        """Nothing ends: there is nowhere else to look."""
+
+    def snapshot(self, at_us: int) -> Snapshot:
+        """Return the one track, at (0, 0)."""
+        del at_us
+        return Snapshot(
+            number=[self._number],
+            born_us=[self._born_us],
+            seen_us=[self._seen_us],
+            x_px=[0.0],
+            y_px=[0.0],
+            vx_px_s=[0.0],
+            vy_px_s=[0.0],
+            # Uniform over the pixel.
+            var_px2=[round(1 / 12, 3)],
+            radius_px=[0.5],
+            size_px=[1.0],
+            polarity=[self._polarity],
+            status=[self._status],
+        )
