@@ -39,11 +39,10 @@ from heliograph.events import EventBatch
 from heliograph_services.event_source.simulation.contract import Labels, PixelEvents
 from heliograph_services.event_source.simulation.readout.numbers import ScanNumbers
 from heliograph_services.event_source.simulation.readout.scan_kernel import (
+    EVENT,
+    PIXEL,
     START,
     WAITING,
-    Crossings,
-    Output,
-    Pixels,
     run,
 )
 
@@ -92,16 +91,11 @@ class ScanReadout:
         )
         self._state = np.zeros(6, np.int64)
         self._counts = np.zeros(len(COUNTERS), np.int64)
-        self._pixels = Pixels(
-            held=np.zeros(width * height, np.int32),
-            label=np.zeros(width * height, np.int16),
-            reset_ns=np.zeros(width * height, np.int64),
-            first=np.full(width, -1, np.int32),
-            following=np.full(width * height, -1, np.int32),
-            listed=np.zeros(width * height, np.bool_),
-            rows=np.zeros(height, np.int32),
-        )
-        self._kept, self._kept_labels = EventBatch.empty(), np.empty(0, np.int16)
+        self._pixels = np.zeros(width * height, PIXEL)
+        self._first = np.full(width, -1, np.int32)
+        self._rows = np.zeros(height, np.int32)
+        # Events of a scan that has not ended yet.
+        self._kept = np.empty(0, EVENT)
         self.counters: dict[str, int] = dict.fromkeys(COUNTERS, 0)
 
     @property
@@ -118,26 +112,14 @@ class ScanReadout:
         """
         kept = len(self._kept)
         # Each crossing is read at most once.
-        n = kept + len(events) + int(self._counts[WAITING])
-        out = Output(
-            np.empty(n, np.int64),
-            np.empty(n, np.uint16),
-            np.empty(n, np.uint16),
-            np.empty(n, np.bool_),
-            np.empty(n, np.int16),
+        out = np.empty(kept + len(events) + int(self._counts[WAITING]), EVENT)
+        out[:kept] = self._kept
+        done, written = run(
+            *(events.t_us, events.pixel, events.on, events.cause, float(until_us) * 1000.0),
+            *(self._parameters, self._state, self._counts, self._pixels, self._first, self._rows, out, kept),
         )
-        before = (self._kept.t_us, self._kept.x_px, self._kept.y_px, self._kept.on, self._kept_labels)
-        for room, old in zip(out, before, strict=True):
-            room[:kept] = old
-        crossings = Crossings(events.t_us, events.pixel, events.on, events.cause)
-        until_ns = float(until_us) * 1000.0
-        done, written = run(crossings, until_ns, self._parameters, self._state, self._counts, self._pixels, out, kept)
-        batch = EventBatch(out.t_us[:written], out.x_px[:written], out.y_px[:written], out.on[:written])
-        # Copied: what is returned must not keep what is not alive.
-        self._kept, self._kept_labels = _copied(batch.part(done, written)), out.labels[done:written].copy()
+        self._kept = out[done:written].copy()
         self.counters.update(zip(COUNTERS, self._counts.tolist(), strict=True))
-        return batch.part(0, done), out.labels[:done]
-
-
-def _copied(batch: EventBatch) -> EventBatch:
-    return EventBatch(batch.t_us.copy(), batch.x_px.copy(), batch.y_px.copy(), batch.on.copy())
+        read = out[:done]
+        fields = (np.ascontiguousarray(read[name]) for name in ("t_us", "x_px", "y_px", "on"))
+        return EventBatch(*fields), np.ascontiguousarray(read["label"])

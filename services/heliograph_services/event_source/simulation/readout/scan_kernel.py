@@ -2,13 +2,15 @@
 
 A pixel waits while `held` is not 0: its sign is the polarity, its size the crossings behind it. Each column keeps a
 list of its pixels that may wait (`first` of the column, `following` of the pixel), so that a scan costs what it reads.
+`rows` is room for a column's active rows.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, Final
 
 import numba
+import numpy as np
 
 # Places of the parameters, of the state and of the counts in their arrays.
 WIDTH, GROUP_PX, GROUP_NS, COLUMN_NS, NEXT_NS, DETECT_NS, FIXED_NS, STRETCH_NS, LATCH, SAMPLE, STAMP = range(11)
@@ -23,86 +25,57 @@ AT_START, AT_TURN, AT_END = range(3)
 SHORT = 24
 
 
-class Pixels(NamedTuple):
-    """What the pixels hold.
-
-    Args:
-        held: (pixels,) int32.
-        label: (pixels,) int16, cause of what is held.
-        reset_ns: (pixels,) int64, when the pixel was read last.
-        first: (width,) int32, a pixel of the column that may wait; -1: none.
-        following: (pixels,) int32, the next one of its column; -1: none.
-        listed: (pixels,) bool.
-        rows: (height,) int32, room for a column's active rows.
-    """
-
-    held: Any
-    label: Any
-    reset_ns: Any
-    first: Any
-    following: Any
-    listed: Any
-    rows: Any
+# A pixel: crossings held (sign: polarity), their cause, when it was read last, the next pixel of its column that may
+# wait (-1: none), and whether it is in that list. One record a pixel: what is used together lies together.
+PIXEL: Final = np.dtype(
+    [("reset_ns", np.int64), ("held", np.int32), ("following", np.int32), ("label", np.int16), ("listed", np.bool_)],
+    align=True,
+)
+# An event read.
+EVENT: Final = np.dtype(
+    [("t_us", np.int64), ("x_px", np.uint16), ("y_px", np.uint16), ("label", np.int16), ("on", np.bool_)], align=True
+)
 
 
-class Output(NamedTuple):
-    """Room for events: t_us int64, x_px and y_px uint16, on bool, labels int16, all of one length."""
-
-    t_us: Any
-    x_px: Any
-    y_px: Any
-    on: Any
-    labels: Any
+@numba.njit(nogil=True, inline="always")
+def _list(p: Any, x: Any, pixels: Any, first: Any) -> None:
+    pixels[p].listed, pixels[p].following, first[x] = True, first[x], p
 
 
-class Crossings(NamedTuple):
-    """The pixels' events: t_us float64, pixel int64, on bool, cause int16, all of one length."""
-
-    t_us: Any
-    pixel: Any
-    on: Any
-    cause: Any
-
-
-@numba.njit(nogil=True)
-def _list(p: Any, x: Any, pixels: Any) -> None:
-    pixels.listed[p], pixels.following[p], pixels.first[x] = True, pixels.first[x], p
-
-
-@numba.njit(nogil=True)
-def _cross(p: Any, on: Any, cause: Any, ns: Any, par: Any, counts: Any, pixels: Any) -> None:
+@numba.njit(nogil=True, inline="always")
+def _cross(p: Any, on: Any, cause: Any, ns: Any, par: Any, counts: Any, pixels: Any, first: Any) -> None:
     """Let pixel p cross a threshold."""
     counts[IN] += 1
-    if ns < pixels.reset_ns[p]:
+    if ns < pixels[p].reset_ns:
         counts[BEFORE_RESET] += 1
         return
-    before, step = pixels.held[p], 1 if on else -1
+    before, step = pixels[p].held, 1 if on else -1
     if par[LATCH] == FIRST and before != 0:
         counts[MERGED] += 1
         return
-    pixels.held[p] = before + step
+    pixels[p].held = before + step
     if before * step < 0:
         counts[CANCELLED] += 2
         counts[WAITING] -= 1
         return
     counts[WAITING] += 1
     if before == 0:
-        pixels.label[p] = cause
-        if not pixels.listed[p]:
-            _list(p, p % par[WIDTH], pixels)
+        pixels[p].label = cause
+        if not pixels[p].listed:
+            _list(p, p % par[WIDTH], pixels, first)
 
 
-@numba.njit(nogil=True)
-def _active_rows(x: Any, width: Any, pixels: Any) -> Any:
+@numba.njit(nogil=True, inline="always")
+def _active_rows(x: Any, width: Any, pixels: Any, first: Any, rows: Any) -> Any:
     """Empty a column's list into `rows`, sorted; return how many have an event."""
-    rows, n, p = pixels.rows, 0, pixels.first[x]
-    pixels.first[x] = -1
+    n, p = 0, first[x]
+    first[x] = -1
     while p >= 0:
-        pixels.listed[p] = False
-        if pixels.held[p] != 0:
+        pixels[p].listed = False
+        if pixels[p].held != 0:
             rows[n] = p // width
             n += 1
-        p = pixels.following[p]
+        p = pixels[p].following
     if n > SHORT:
         rows[:n].sort()
         return n
@@ -115,7 +88,7 @@ def _active_rows(x: Any, width: Any, pixels: Any) -> Any:
     return n
 
 
-@numba.njit(nogil=True)
+@numba.njit(nogil=True, inline="always")
 def _column_ns(n: Any, par: Any, rows: Any) -> Any:
     """Return what a column costs whose active pixels are `rows`[:n], sorted."""
     groups, last = 0, -1
@@ -126,7 +99,7 @@ def _column_ns(n: Any, par: Any, rows: Any) -> Any:
     return max(par[NEXT_NS], par[COLUMN_NS] + groups * par[GROUP_NS])
 
 
-@numba.njit(nogil=True)
+@numba.njit(nogil=True, inline="always")
 def _skip_scans(next_ns: Any, until_ns: Any, par: Any, state: Any, counts: Any) -> None:
     """Pass over whole scans in which nothing can be: no pixel waits, and no event comes before they end."""
     quiet_ns = par[FIXED_NS]
@@ -139,76 +112,78 @@ def _skip_scans(next_ns: Any, until_ns: Any, par: Any, state: Any, counts: Any) 
         counts[SCANS] += ahead
 
 
-@numba.njit(nogil=True)
-def _skip_columns(par: Any, state: Any, pixels: Any) -> None:
+@numba.njit(nogil=True, inline="always")
+def _skip_columns(par: Any, state: Any, first: Any) -> None:
     """Pass over columns that have nothing, up to the last one; all pixels have been sampled."""
     x, empty_ns = state[COLUMN], max(par[NEXT_NS], par[COLUMN_NS])
-    while x < par[WIDTH] - 1 and pixels.first[x] < 0:
+    while x < par[WIDTH] - 1 and first[x] < 0:
         x += 1
     state[NOW] += (x - state[COLUMN]) * empty_ns
     state[COLUMN] = x
 
 
-@numba.njit(nogil=True)
-def _read(x: Any, n: Any, par: Any, state: Any, counts: Any, pixels: Any, out: Any, written: Any) -> Any:
+@numba.njit(nogil=True, inline="always")
+def _read(x: Any, n: Any, par: Any, state: Any, counts: Any, pixels: Any, first: Any, rows: Any, out: Any,
+          written: Any) -> Any:  # fmt: skip
     """Read the n pixels in `rows` of column x at state[NOW]; return how many events are written then."""
     at_us = (state[NOW] if par[STAMP] == AT_TURN else state[START] + par[DETECT_NS]) // 1000
     for k in range(n):
-        row = pixels.rows[k]
+        row = rows[k]
         p = row * par[WIDTH] + x
-        held = pixels.held[p]
-        out.t_us[written], out.x_px[written], out.y_px[written] = at_us, x, row
-        out.on[written], out.labels[written] = held > 0, pixels.label[p]
+        held = pixels[p].held
+        event = out[written]
+        event.t_us, event.x_px, event.y_px, event.on, event.label = at_us, x, row, held > 0, pixels[p].label
         written += 1
         if par[LATCH] == STEP:
-            pixels.held[p] = held - 1 if held > 0 else held + 1
+            pixels[p].held = held - 1 if held > 0 else held + 1
             counts[WAITING] -= 1
-            if pixels.held[p] != 0:
-                _list(p, x, pixels)
+            if pixels[p].held != 0:
+                _list(p, x, pixels, first)
         else:
-            pixels.held[p] = 0
-            pixels.reset_ns[p] = state[NOW]
+            pixels[p].held = 0
+            pixels[p].reset_ns = state[NOW]
             counts[WAITING] -= abs(held)
             counts[MERGED] += abs(held) - 1
     counts[READ] += n
     return written
 
 
-@numba.njit(nogil=True)
-def _lose(x: Any, n: Any, par: Any, counts: Any, pixels: Any) -> None:
+@numba.njit(nogil=True, inline="always")
+def _lose(x: Any, n: Any, par: Any, counts: Any, pixels: Any, rows: Any) -> None:
     """Forget what the n pixels in `rows` of column x hold."""
     for k in range(n):
-        p = pixels.rows[k] * par[WIDTH] + x
-        counts[NO_TIME] += abs(pixels.held[p])
-        counts[WAITING] -= abs(pixels.held[p])
-        pixels.held[p] = 0
+        p = rows[k] * par[WIDTH] + x
+        counts[NO_TIME] += abs(pixels[p].held)
+        counts[WAITING] -= abs(pixels[p].held)
+        pixels[p].held = 0
 
 
-@numba.njit(nogil=True)
-def _column(par: Any, state: Any, counts: Any, pixels: Any, out: Any, written: Any) -> Any:
+@numba.njit(nogil=True, inline="always")
+def _column(par: Any, state: Any, counts: Any, pixels: Any, first: Any, rows: Any, out: Any, written: Any) -> Any:
     """Go through the next column; return how many events are written then."""
     if par[SAMPLE] == AT_HOLD:
-        _skip_columns(par, state, pixels)
+        _skip_columns(par, state, first)
     x, stop_ns = state[COLUMN], state[START] + par[FIXED_NS]
-    n = _active_rows(x, par[WIDTH], pixels)
-    cost_ns = _column_ns(n, par, pixels.rows)
+    n = _active_rows(x, par[WIDTH], pixels, first, rows)
+    cost_ns = _column_ns(n, par, rows)
     if par[FIXED_NS] > 0 and state[NOW] + cost_ns > stop_ns:
-        _lose(x, n, par, counts, pixels)
+        _lose(x, n, par, counts, pixels, rows)
         # No later column is begun either.
         state[NOW] = max(state[NOW], stop_ns)
     else:
-        written = _read(x, n, par, state, counts, pixels, out, written)
+        written = _read(x, n, par, state, counts, pixels, first, rows, out, written)
         state[NOW] += cost_ns
     state[COLUMN] = x + 1
     if x + 1 == par[WIDTH]:
         state[PHASE] = ENDING
         state[END] = (stop_ns if par[FIXED_NS] > 0 else state[NOW]) + par[STRETCH_NS]
         if par[STAMP] == AT_END:
-            out.t_us[state[SCAN_BEGINS] : written] = state[END] // 1000
+            for k in range(state[SCAN_BEGINS], written):
+                out[k].t_us = state[END] // 1000
     return written
 
 
-@numba.njit(nogil=True)
+@numba.njit(nogil=True, inline="always")
 def _needed_ns(par: Any, state: Any) -> Any:
     """Return up to when all events must be known for the next thing to be done."""
     if state[PHASE] == ENDING:
@@ -219,7 +194,8 @@ def _needed_ns(par: Any, state: Any) -> Any:
 
 
 @numba.njit(cache=True, nogil=True)
-def run(events: Any, until_ns: Any, par: Any, state: Any, counts: Any, pixels: Any, out: Any, written: Any) -> Any:
+def run(t_us: Any, pixel: Any, on: Any, cause: Any, until_ns: Any, par: Any, state: Any, counts: Any, pixels: Any,
+        first: Any, rows: Any, out: Any, written: Any) -> Any:  # fmt: skip
     """Go on with the scans as far as the events known before until_ns (float) allow.
 
     All events are taken in at once, whichever scan will read them: where it must pause, nothing but crossings can
@@ -228,22 +204,22 @@ def run(events: Any, until_ns: Any, par: Any, state: Any, counts: Any, pixels: A
     Returns:
         Events in `out` of whole scans, and all events in it.
     """
-    n, i, done = len(events.t_us), 0, 0
+    n, i, done = len(t_us), 0, 0
     while True:
         if state[PHASE] == DETECTING and counts[WAITING] == 0:
-            _skip_scans(events.t_us[i] * 1000.0 if i < n else until_ns, until_ns, par, state, counts)
+            _skip_scans(t_us[i] * 1000.0 if i < n else until_ns, until_ns, par, state, counts)
         needed_ns = _needed_ns(par, state)
         pausing = until_ns < needed_ns
         # What crosses after the last column belongs to the next scan, whose detection takes it in.
-        while i < n and (pausing or (state[PHASE] != ENDING and events.t_us[i] * 1000.0 < needed_ns)):
-            _cross(events.pixel[i], events.on[i], events.cause[i], events.t_us[i] * 1000.0, par, counts, pixels)
+        while i < n and (pausing or (state[PHASE] != ENDING and t_us[i] * 1000.0 < needed_ns)):
+            _cross(pixel[i], on[i], cause[i], t_us[i] * 1000.0, par, counts, pixels, first)
             i += 1
         if pausing:
             return done, written
         if state[PHASE] == DETECTING:
             state[PHASE], state[COLUMN], state[NOW], state[SCAN_BEGINS] = READING, 0, needed_ns, written
         elif state[PHASE] == READING:
-            written = _column(par, state, counts, pixels, out, written)
+            written = _column(par, state, counts, pixels, first, rows, out, written)
         else:
             state[START], state[PHASE], done = state[END], DETECTING, written
             counts[SCANS] += 1
