@@ -1,1 +1,19 @@
 """The surroundings: textured ground, things on it, lamps that light it; as views and as images."""
+
+from __future__ import annotations
+
+
+def warm() -> None:
+    """Compile the kernels, or load them from the cache; numba is imported here and not before."""
+    import numpy as np  # noqa: PLC0415 - as below
+
+    from heliograph_services.event_source.simulation.ground import texture, warp  # noqa: PLC0415 - numba
+
+    texels, bases = texture.Texture((np.ones((4, 4), np.float32),), 1.0).packed(1.0, 0.1)
+    texture.warm()
+    half, full = np.zeros((2, 2), np.float32), np.zeros((4, 4), np.float32)
+    warp.render_ground(texels, bases, 2, 1.0, np.eye(3), 0.0, 0.0, full)
+    lines = np.zeros((4, 3))
+    warp.draw_quad(lines, 0.0, full)
+    warp.cover_quad(lines, full)
+    warp.double(half, full)

@@ -1,0 +1,283 @@
+"""The ground as the camera sees it: a tiled texture warped by a homography, band-limited to the pixel.
+
+For pixel (x, y) the homography M gives (X w, Y w, w) = M (x, y, 1): the point (X, Y) of the ground in metres, and how
+steeply the ray goes down, w <= 0 being sky. The texture's level l has (size / 2^l)^2 texels of texel_m 2^l. A
+pixel's footprint is F = sqrt((|dP/dx|^2 + |dP/dy|^2) / 2) metres. A level is used alone while its texel is .84 to 1.41
+footprints, and blended with the next finer one from there to 1.68, where that is .84: so nothing jumps when the camera
+rises. Levels are low-passed (standard deviation .5 texel) and read by bilinear interpolation (.41 texel): together .54
+to .91 px of blur, about that of a lens with a point spread of .7 px and of a pixel's own area (.29 px): .76 px.
+
+Coordinates are 32 bit fixed point of a tile, so that they wrap for nothing (as in the sine tables of oscillators), and
+exact to 2^-10 of a texel. Where the camera is tilted they go on parabolas through exact points that are so close that
+the parabola errs by at most SAG_PX.
+
+Edges (of the horizon, of an asset) have the same blur: a smoothstep of EDGE_PX, whose density has the standard
+deviation EDGE_PX / sqrt(20) = .76 px.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numba
+import numpy as np
+
+EDGE_PX: Final = 3.4
+# A fortieth of the step between two views.
+SAG_PX: Final = 0.0125
+# Shorter ones cost more in their ends than in their pixels, longer ones would not follow the level of the footprint.
+_SEGMENT_MIN: Final = 8
+_SEGMENT_MAX: Final = 64
+# Of the horizon nearer than this the ground is its mean: its footprint is beyond the tile.
+_FAR_PX: Final = 0.5
+_TURN: Final = 4294967296.0
+
+
+@numba.njit(cache=True, nogil=True)
+def _smooth(d_px: float) -> float:
+    """Return the share of a pixel at a signed distance d_px from an edge that lies on its inner side."""
+    s = min(max(d_px / EDGE_PX + 0.5, 0.0), 1.0)
+    return s * s * (3.0 - 2.0 * s)
+
+
+@numba.njit(cache=True, nogil=True)
+def _read(texels: Any, base: int, bits: int, u: Any, v: Any, out: Any) -> None:
+    """Read a level along a parabola: out[k] at u[0] + k u[1] + k^2 u[2], and so v; 32 bit fixed point of a tile."""
+    shift = np.uint32(32 - bits)
+    below = np.uint32((np.uint32(1) << shift) - np.uint32(1))
+    unit = np.float32(1.0 / (1 << (32 - bits)))
+    stride = (1 << bits) + 1
+    u0, u1, u2 = u
+    v0, v1, v2 = v
+    for k in range(len(out)):
+        i = np.uint32(k)
+        uk, vk = np.uint32(u0 + i * (u1 + i * u2)), np.uint32(v0 + i * (v1 + i * v2))
+        at = base + np.int64(uk >> shift) + np.int64(vk >> shift) * stride
+        fu = np.float32(np.int32(uk & below)) * unit
+        fv = np.float32(np.int32(vk & below)) * unit
+        a, b = texels[at], texels[at + stride]
+        top = a + fu * (texels[at + 1] - a)
+        bottom = b + fu * (texels[at + stride + 1] - b)
+        out[k] = top + fv * (bottom - top)
+
+
+@numba.njit(cache=True, nogil=True)
+def _blend(texels: Any, base: int, bits: int, u: Any, v: Any, share: Any, out: Any) -> None:
+    """Mix a share of another level into what `_read` gave."""
+    shift = np.uint32(32 - bits)
+    below = np.uint32((np.uint32(1) << shift) - np.uint32(1))
+    unit = np.float32(1.0 / (1 << (32 - bits)))
+    stride = (1 << bits) + 1
+    u0, u1, u2 = u
+    v0, v1, v2 = v
+    for k in range(len(out)):
+        i = np.uint32(k)
+        uk, vk = np.uint32(u0 + i * (u1 + i * u2)), np.uint32(v0 + i * (v1 + i * v2))
+        at = base + np.int64(uk >> shift) + np.int64(vk >> shift) * stride
+        fu = np.float32(np.int32(uk & below)) * unit
+        fv = np.float32(np.int32(vk & below)) * unit
+        a, b = texels[at], texels[at + stride]
+        top = a + fu * (texels[at + 1] - a)
+        bottom = b + fu * (texels[at + stride + 1] - b)
+        out[k] += share * (top + fv * (bottom - top) - out[k])
+
+
+@numba.njit(cache=True, nogil=True)
+def _level(m: Any, gx: float, gy: float, w: float, texel_m: float, levels: int) -> tuple[int, float]:
+    """Return the level that suits the footprint where the ground is (gx, gy), and the share of the finer one."""
+    a, b = (m[0, 0] - gx * m[2, 0]) / w, (m[0, 1] - gx * m[2, 1]) / w
+    c, d = (m[1, 0] - gy * m[2, 0]) / w, (m[1, 1] - gy * m[2, 1]) / w
+    octaves = 0.5 * math.log2(max(1e-30, 0.5 * (a * a + b * b + c * c + d * d)) / (texel_m * texel_m))
+    level = math.ceil(octaves - 0.25)
+    share = max(0.0, 4.0 * (level - octaves) - 2.0)
+    if level <= 0:
+        return 0, 0.0
+    if level >= levels:
+        return levels - 1, 0.0
+    return int(level), share
+
+
+@numba.njit(cache=True, nogil=True)
+def _row(texels: Any, bases: Any, bits: int, tile_m: float, m: Any, y: float, x0: int, x1: int, out: Any) -> None:
+    """Fill out[x0:x1], all of it ground, w > 0."""
+    levels = len(bases)
+    texel_m = tile_m / (1 << bits)
+    flat = m[2, 0] == 0.0 and m[2, 1] == 0.0
+    scale = _TURN / tile_m
+    x = x0
+    u, v, w = _ground(m, x, y)
+    while x < x1:
+        n = x1 - x
+        if not flat:
+            n = min(n, _SEGMENT_MAX)
+            if m[2, 0] != 0.0:
+                # A projective line, 1 / (1 + q k), leaves its parabola by less than n^3 q^2 / 20 px.
+                n = min(n, max(_SEGMENT_MIN, int((20.0 * SAG_PX * (w / m[2, 0]) ** 2) ** (1.0 / 3.0))))
+        # The last may begin so near to the horizon that its end lies behind it: its two last pixels then do.
+        if m[2, 0] * (x + n) + m[2, 1] * y + m[2, 2] <= 0.5 * w:
+            n = 1
+        u1, v1, w1 = _ground(m, x + n, y)
+        um, vm, wm = _ground(m, x + 0.5 * n, y)
+        level, share = _level(m, um, vm, wm, texel_m, levels)
+        pu, pv = _parabola(u, um, u1, n, scale), _parabola(v, vm, v1, n, scale)
+        _read(texels, bases[level], bits - level, pu, pv, out[x : x + n])
+        if share > 0.0:
+            _blend(texels, bases[level - 1], bits - level + 1, pu, pv, np.float32(share), out[x : x + n])
+        x, u, v, w = x + n, u1, v1, w1
+
+
+@numba.njit(cache=True, nogil=True)
+def _ground(m: Any, x: float, y: float) -> tuple[float, float, float]:
+    """Return the ground's point at a pixel, and w."""
+    w = m[2, 0] * x + m[2, 1] * y + m[2, 2]
+    return (m[0, 0] * x + m[0, 1] * y + m[0, 2]) / w, (m[1, 0] * x + m[1, 1] * y + m[1, 2]) / w, w
+
+
+@numba.njit(cache=True, nogil=True)
+def _parabola(p0: float, p: float, p1: float, n: int, scale: float) -> tuple[Any, Any, Any]:
+    """Return the parabola through p0 at 0, p at n / 2, p1 at n, in fixed point."""
+    bend = 2.0 * (p0 - 2.0 * p + p1) / (n * n)
+    slope = (p1 - p0) / n - bend * n
+    return (
+        np.uint32(np.int64(np.floor(p0 * scale))),
+        np.uint32(np.int64(np.rint(slope * scale))),
+        np.uint32(np.int64(np.rint(bend * scale))),
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _beyond(a: float, c: float, least: float, width: int) -> tuple[int, int]:
+    """Return [x0, x1): the pixels of a row with a x + c >= least."""
+    x0, x1 = 0, width
+    rest = least - c
+    if abs(a) < 1e-12:
+        if rest > 0.0:
+            x1 = 0
+    elif a > 0.0:
+        x0 = math.ceil(min(max(rest / a, 0.0), float(width)))
+    else:
+        x1 = math.floor(min(max(rest / a, -1.0), width - 1.0)) + 1
+    return min(x0, x1), x1
+
+
+@numba.njit(cache=True, nogil=True)
+def render_ground(texels: Any, bases: Any, bits: int, tile_m: float, m: Any, far: float, sky: float, out: Any) -> None:
+    """Render ground and sky.
+
+    Args:
+        texels: (n,) float32, all levels, each with its first row and column again behind its last.
+        bases: (levels,) int64, where each begins.
+        bits: level 0 has 2^bits texels a side.
+        tile_m: what they cover.
+        m: (3, 3) float64, pixel to ground; see the module.
+        far: value of the ground at the horizon.
+        sky: value above it.
+        out: (height, width) float32, ln(irradiance + dark).
+    """
+    height, width = out.shape
+    slope = math.hypot(m[2, 0], m[2, 1])
+    for y in range(height):
+        if slope == 0.0:
+            if m[2, 2] > 0.0:
+                _row(texels, bases, bits, tile_m, m, y, 0, width, out[y])
+            else:
+                out[y, :] = np.float32(sky)
+            continue
+        a, c = m[2, 0] / slope, (m[2, 1] * y + m[2, 2]) / slope  # a x + c: pixels below the horizon
+        x0, x1 = _beyond(a, c, _FAR_PX, width)
+        if x0 < x1:
+            _row(texels, bases, bits, tile_m, m, y, x0, x1, out[y])
+        # What the horizon's blur reaches, but for what lies clear of it.
+        e0, e1 = _beyond(a, c, -0.5 * EDGE_PX, width)
+        g0, g1 = _beyond(a, c, 0.5 * EDGE_PX, width)
+        out[y, :e0] = np.float32(sky)
+        out[y, e1:] = np.float32(sky)
+        for x in range(e0, e1):
+            if not g0 <= x < g1:
+                ground = out[y, x] if x0 <= x < x1 else np.float32(far)
+                share = _smooth(a * x + c)
+                out[y, x] = math.log(share * math.exp(ground) + (1.0 - share) * math.exp(sky))
+
+
+@numba.njit(cache=True, nogil=True)
+def _span(lines: Any, y: float, inner_px: float, width: int) -> tuple[int, int]:
+    """Return [x0, x1): the pixels of a row that are at least inner_px within all four lines."""
+    x0, x1 = 0, width
+    for k in range(4):
+        k0, k1 = _beyond(lines[k, 0], lines[k, 1] * y + lines[k, 2], inner_px, width)
+        x0, x1 = max(x0, k0), min(x1, k1)
+    return x0, max(x0, x1)
+
+
+@numba.njit(cache=True, nogil=True)
+def _coverage(lines: Any, x: float, y: float) -> float:
+    """Return the share of a pixel's light that comes from a quad: exact for a parallelogram whose blur is separable."""
+    share = 1.0
+    for k in range(2):
+        d0 = lines[k, 0] * x + lines[k, 1] * y + lines[k, 2]
+        d1 = lines[k + 2, 0] * x + lines[k + 2, 1] * y + lines[k + 2, 2]
+        share *= max(0.0, _smooth(d0) + _smooth(d1) - 1.0)
+    return share
+
+
+@numba.njit(cache=True, nogil=True)
+def draw_quad(lines: Any, value: float, out: Any) -> None:
+    """Draw a quad of one value over what is there, its edges mixed in linear light.
+
+    Args:
+        lines: (4, 3) float64, of each edge in turn the signed distance a x + b y + c in pixels, positive inside.
+        value: ln(irradiance + dark) of the quad.
+        out: (height, width) float32.
+    """
+    height, width = out.shape
+    linear = math.exp(value)
+    for y in range(height):
+        x0, x1 = _span(lines, y, -0.5 * EDGE_PX, width)
+        if x0 >= x1:
+            continue
+        i0, i1 = _span(lines, y, 0.5 * EDGE_PX, width)
+        for x in range(x0, x1):
+            if i0 <= x < i1:
+                out[y, x] = value
+            else:
+                share = _coverage(lines, x, y)
+                if share > 0.0:
+                    out[y, x] = math.log(share * linear + (1.0 - share) * math.exp(out[y, x]))
+
+
+@numba.njit(cache=True, nogil=True)
+def cover_quad(lines: Any, out: Any) -> None:
+    """Write the share of each pixel that a quad covers.
+
+    Args:
+        lines: as for `draw_quad`.
+        out: (height, width) float32, zeros before.
+    """
+    height, width = out.shape
+    for y in range(height):
+        x0, x1 = _span(lines, y, -0.5 * EDGE_PX, width)
+        if x0 >= x1:
+            continue
+        i0, i1 = _span(lines, y, 0.5 * EDGE_PX, width)
+        for x in range(x0, x1):
+            out[y, x] = 1.0 if i0 <= x < i1 else _coverage(lines, x, y)
+
+
+@numba.njit(cache=True, nogil=True)
+def double(half: Any, out: Any) -> None:
+    """Interpolate an image up to twice its size (or a row and column less): bilinear, edges held."""
+    height, width = out.shape
+    rows, columns = half.shape
+    line = np.empty(columns, np.float32)
+    near, other = np.float32(0.75), np.float32(0.25)
+    for y in range(height):
+        j = y >> 1
+        k = min(max(j + (1 if y & 1 else -1), 0), rows - 1)
+        for i in range(columns):
+            line[i] = near * half[j, i] + other * half[k, i]
+        for i in range((width + 1) // 2):
+            x = 2 * i
+            out[y, x] = near * line[i] + other * line[max(i - 1, 0)]
+            if x + 1 < width:
+                out[y, x + 1] = near * line[i] + other * line[min(i + 1, columns - 1)]
