@@ -109,7 +109,7 @@ def _field_type(node: types.Type, key: str) -> types.Type:
                 return field.type
     kinds = node.types if isinstance(node, types.UnionType) else (node,)
     tags = [str(kind.tag) for kind in kinds if isinstance(kind, types.StructType) and kind.tag_field == key]
-    return types.LiteralType(tuple(tags)) if tags else types.AnyType()
+    return types.LiteralType(tuple(sorted(tags))) if tags else types.AnyType()
 
 
 def _item(node: types.Type, i: int) -> types.Type:
@@ -146,7 +146,7 @@ def _allowed(node: types.Type) -> str:
             return "a table of " + ", ".join(_fields(node))
         case types.UnionType(types=kinds):
             tags = [str(kind.tag) for kind in kinds if isinstance(kind, types.StructType)]
-            return f"a table whose kind is one of {', '.join(tags)}" if tags else ""
+            return f"a table whose kind is one of {', '.join(sorted(tags))}" if tags else ""
     return ""
 
 
