@@ -1,5 +1,7 @@
 """NPZ, our own format: `t` int64 microseconds, `x` and `y` uint16, `on` bool, and the scalars `width` and `height`.
 
+A simulated recording may have `cause` int16, what made each event (`simulation/contract.py`); it is not read.
+
 What numpy.savez writes of these arrays is read (other integer types too), and what is written here numpy.load reads.
 A member is a .npy file (numpy's format 1.0 to 3.0) in a zip archive. The arrays are streamed side by side, so that a
 recording of hours needs no more memory than one of seconds; nothing is unpickled.
@@ -10,7 +12,7 @@ from __future__ import annotations
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -123,23 +125,56 @@ def write_npz(path: Path, width: int, height: int, batches: Iterable[EventBatch]
     Raises:
         FileError: the file cannot be written.
     """
+    rows = ((batch.t_us, batch.x_px, batch.y_px, batch.on) for batch in batches)
+    return write_columns(path, _COLUMNS, rows, {"width": width, "height": height})
+
+
+def write_labelled_npz(
+    path: Path, width: int, height: int, batches: Iterable[tuple[EventBatch, npt.NDArray[np.int16]]]
+) -> int:
+    """Write events and the cause of each (int16, array `cause`) as `write_npz` does.
+
+    Raises:
+        FileError: the file cannot be written.
+    """
+    rows = ((batch.t_us, batch.x_px, batch.y_px, batch.on, cause) for batch, cause in batches)
+    return write_columns(path, (*_COLUMNS, ("cause", np.int16)), rows, {"width": width, "height": height})
+
+
+def write_columns(
+    path: Path,
+    columns: Sequence[tuple[str, npt.DTypeLike]],
+    rows: Iterable[Sequence[npt.NDArray[Any]]],
+    numbers: Mapping[str, int],
+) -> int:
+    """Write arrays side by side, and some numbers, as an NPZ file; return the arrays' length.
+
+    Args:
+        path: where; an existing file is replaced once the new one is whole.
+        columns: name and dtype of each array.
+        rows: the next parts of all arrays, equally long.
+        numbers: by name.
+
+    Raises:
+        FileError: the file cannot be written.
+    """
     part = path.with_name(path.name + ".part")
     try:
         with ExitStack() as stack:
             # A zip archive holds its members one after another, so the columns wait in files of their own.
-            spools = [stack.enter_context(TemporaryFile(dir=path.parent)) for _ in _COLUMNS]
+            spools = [stack.enter_context(TemporaryFile(dir=path.parent)) for _ in columns]
             n = 0
-            for batch in batches:
-                n += len(batch)
-                for spool, column in zip(spools, (batch.t_us, batch.x_px, batch.y_px, batch.on), strict=True):
+            for arrays in rows:
+                n += len(arrays[0])
+                for spool, column in zip(spools, arrays, strict=True):
                     spool.write(np.ascontiguousarray(column).data)
             with zipfile.ZipFile(part, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
-                for (name, dtype), spool in zip(_COLUMNS, spools, strict=True):
+                for (name, dtype), spool in zip(columns, spools, strict=True):
                     spool.seek(0)
                     _write_member(archive, name, np.dtype(dtype), (n,), spool)
-                for name, side in (("width", width), ("height", height)):
+                for name, value in numbers.items():
                     with TemporaryFile() as number:
-                        number.write(np.array(side, "<i8").tobytes())
+                        number.write(np.array(value, "<i8").tobytes())
                         number.seek(0)
                         _write_member(archive, name, np.dtype("<i8"), (), number)
         part.replace(path)
