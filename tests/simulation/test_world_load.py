@@ -5,7 +5,10 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+import tomllib
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,6 +18,7 @@ from heliograph_services.event_source.simulation.world.load import (
     built_in,
     load_scenario,
     parse_scenario,
+    scenario_of,
     site_beacons,
 )
 
@@ -177,6 +181,66 @@ def test_what_is_no_toml_or_no_file_is_refused(tmp_path: Path) -> None:
     path.write_bytes(b'about = "\xe9"')
     with pytest.raises(ConfigError, match="not UTF-8"):
         load_scenario(str(path))
+
+
+FULL = """
+duration_s = 3.0
+camera.path = { kind = "waypoints", points = [[0, 0, 0, 5], [2, 1, 0, 5], [4, 0, 0, 5]], smooth_s = 0.5 }
+camera.attitude = { points = [[0, 0, -90, 0], [4, 360, -90, 0]], smooth_s = 0.5 }
+camera.shake = { rms_deg = 0.1, low_hz = 1.0, high_hz = 9.0 }
+camera.lens = { focal_mm = 3.6, f_number = 2.0, focus_m = 5.0 }
+camera.override = { "pixel.threshold_on" = 0.25 }
+[[asset]]
+name = "cart"
+path = { kind = "shuttle", from_m = [-1, 0, 1], to_m = [1, 0, 1], speed_m_s = 1.0, turn_s = 0.1 }
+size_m = [1, 1]
+[[mains]]
+centre_m = [0, 0]
+size_m = [1, 1]
+irradiance_w_m2 = 1.0
+[[beacon]]
+name = "a"
+protocol = "code"
+options = { codebook = "code20d4" }
+payload = 42
+bit_rate = 1000
+carried_by = "cart"
+leds = [[0.1, 0.0]]
+half_angle_deg = 60
+[[clutter]]
+name = "b"
+signal = { kind = "telegraph", mean_on_s = 0.1, mean_off_s = 0.1 }
+path = { kind = "sine", at_m = [0, 0, 0], amplitude_m = [1, 0, 0], period_s = [2, 1, 1] }
+[[crowd]]
+count = 2
+protocol = "seed11"
+bit_rate = 100
+area_m = [-1, -1, 1, 1]
+"""
+
+
+def leaves(data: Any, at: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    entries = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    for key, value in entries:
+        yield (*at, key)
+        yield from leaves(value, (*at, key))
+
+
+@pytest.mark.parametrize("wrong", ["x", -1, 1e-9, 10**30, float("nan"), True, [], {}], ids=repr)
+def test_whatever_a_file_says_instead_of_a_value_is_read_or_refused_in_one_line(wrong: object) -> None:
+    refusals: list[str] = []
+    for path in leaves(tomllib.loads(FULL)):
+        data: Any = tomllib.loads(FULL)
+        node = data
+        for key in path[:-1]:
+            node = node[key]
+        node[path[-1]] = wrong
+        try:
+            scenario_of(data)
+        except ConfigError as error:
+            refusals.append(str(error))
+    assert refusals
+    assert all(re.fullmatch("scenario: [^\n]+", line) for line in refusals)
 
 
 def test_a_site_lists_the_beacons_as_they_send() -> None:

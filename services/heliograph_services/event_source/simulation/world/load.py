@@ -8,6 +8,7 @@ from __future__ import annotations
 import tomllib
 from importlib.resources import files
 from pathlib import Path as FilePath
+from typing import Any
 
 import msgspec
 
@@ -52,11 +53,19 @@ def parse_scenario(text: str, origin: str) -> Scenario:
     Raises:
         ConfigError: it is none; the text names the key, its value and what is allowed.
     """
-    origin = f"scenario {origin}"
     try:
         data = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise ConfigError(f"{origin}: {' '.join(str(error).split())}") from None
+        raise ConfigError(f"scenario {origin}: {' '.join(str(error).split())}") from None
+    return scenario_of(data, f"scenario {origin}")
+
+
+def scenario_of(data: dict[str, Any], origin: str = "scenario") -> Scenario:
+    """Return the scenario of a file's tables.
+
+    Raises:
+        ConfigError: it is none; the text names the key, its value and what is allowed.
+    """
     problem = not_finite(data)
     if problem:
         raise ConfigError(f"{origin}: {problem}")
