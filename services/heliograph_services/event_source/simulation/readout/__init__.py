@@ -12,4 +12,4 @@ def warm() -> None:
 
     none = PixelEvents(np.empty(0), np.empty(0, np.int64), np.empty(0, np.bool_), np.empty(0, np.int16))
     for name in ("dvxplorer_mini", "davis346"):
-        readout_of(load_preset(name)).feed(none, 1.0)
+        readout_of(load_preset(name), 0).feed(none, 1.0)

@@ -248,16 +248,21 @@ def parse_preset(text: str, name: str) -> Preset:
     return preset
 
 
-def readout_of(sensor: Sensor) -> Readout:
+def readout_of(sensor: Sensor, seed: int) -> Readout:
     """Return a fresh read-out of a sensor that has event pixels.
+
+    Args:
+        sensor: of the kind scan or aer.
+        seed: of the scan's phase against the scene.
 
     Raises:
         ConfigError: the sensor compares images; `ground.images` does that.
     """
     if isinstance(sensor.readout, ScanNumbers):
+        from heliograph_services.event_source.simulation.random import SCAN, uniforms  # noqa: PLC0415  (numba)
         from heliograph_services.event_source.simulation.readout.scan import ScanReadout  # noqa: PLC0415  (numba)
 
-        return ScanReadout(sensor.readout, sensor.width, sensor.height)
+        return ScanReadout(sensor.readout, sensor.width, sensor.height, float(uniforms(seed, SCAN, 0)))
     if isinstance(sensor.readout, AerNumbers):
         from heliograph_services.event_source.simulation.readout.aer import AerReadout  # noqa: PLC0415  (numba)
 

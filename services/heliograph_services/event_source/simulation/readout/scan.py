@@ -26,11 +26,13 @@ between two reads. `latch` chooses:
 The pixels behind (`pixel.array`) move their reference by a threshold at each crossing, where a reset would move it by
 the whole change: what is left below the threshold (less than one event) survives a read here, and not in the sensor.
 
-Times are integer nanoseconds from the scene's begin, where scan 0 begins. A scan's length depends on the events alone.
+Times are integer nanoseconds from the scene's begin; scan 0 begins up to a quiet scan earlier (`phase`), since no
+scan waits for a scene. A scan's length depends on the events alone.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
@@ -43,6 +45,7 @@ from heliograph_services.event_source.simulation.readout.scan_kernel import (
     PIXEL,
     START,
     WAITING,
+    quiet_ns,
     run,
 )
 
@@ -68,9 +71,10 @@ class ScanReadout:
         numbers: of the read-out.
         width: pixels.
         height: pixels.
+        phase: share of a quiet scan, from 0 to below 1, that has passed when the scene begins.
     """
 
-    def __init__(self, numbers: ScanNumbers, width: int, height: int) -> None:
+    def __init__(self, numbers: ScanNumbers, width: int, height: int, phase: float = 0.0) -> None:
         cycle_ns = numbers.clock_ns
         # In the order of `scan_kernel`.
         self._parameters = np.array(
@@ -90,6 +94,7 @@ class ScanReadout:
             np.int64,
         )
         self._state = np.zeros(6, np.int64)
+        self._state[START] = -math.floor(phase * quiet_ns(self._parameters))
         self._counts = np.zeros(len(COUNTERS), np.int64)
         self._pixels = np.zeros(width * height, PIXEL)
         self._first = np.full(width, -1, np.int32)
@@ -101,7 +106,7 @@ class ScanReadout:
     @property
     def until_us(self) -> int:
         """The end of the last whole scan: all events before it have been returned."""
-        return int(self._state[START]) // 1000
+        return max(0, int(self._state[START]) // 1000)
 
     def feed(self, events: PixelEvents, until_us: float) -> tuple[EventBatch, Labels]:
         """Return the events of the scans that end by until_us: by scan, column, row; and the cause of each.

@@ -99,16 +99,20 @@ def _column_ns(n: Any, par: Any, rows: Any) -> Any:
     return max(par[NEXT_NS], par[COLUMN_NS] + groups * par[GROUP_NS])
 
 
+@numba.njit(cache=True, nogil=True)
+def quiet_ns(par: Any) -> Any:
+    """Return how long a scan takes that has nothing to read."""
+    if par[FIXED_NS] > 0:
+        return par[FIXED_NS] + par[STRETCH_NS]
+    return par[DETECT_NS] + par[WIDTH] * max(par[NEXT_NS], par[COLUMN_NS]) + par[STRETCH_NS]
+
+
 @numba.njit(nogil=True, inline="always")
 def _skip_scans(next_ns: Any, until_ns: Any, par: Any, state: Any, counts: Any) -> None:
     """Pass over whole scans in which nothing can be: no pixel waits, and no event comes before they end."""
-    quiet_ns = par[FIXED_NS]
-    if quiet_ns == 0:
-        quiet_ns = par[DETECT_NS] + par[WIDTH] * max(par[NEXT_NS], par[COLUMN_NS])
-    quiet_ns += par[STRETCH_NS]
-    ahead = int((min(next_ns, until_ns) - state[START]) // quiet_ns)
+    ahead = int((min(next_ns, until_ns) - state[START]) // quiet_ns(par))
     if ahead > 0:
-        state[START] += ahead * quiet_ns
+        state[START] += ahead * quiet_ns(par)
         counts[SCANS] += ahead
 
 
@@ -127,6 +131,8 @@ def _read(x: Any, n: Any, par: Any, state: Any, counts: Any, pixels: Any, first:
           written: Any) -> Any:  # fmt: skip
     """Read the n pixels in `rows` of column x at state[NOW]; return how many events are written then."""
     at_us = (state[NOW] if par[STAMP] == AT_TURN else state[START] + par[DETECT_NS]) // 1000
+    # Scan 0 may have begun before the scene did.
+    at_us = max(0, at_us)
     for k in range(n):
         row = rows[k]
         p = row * par[WIDTH] + x
