@@ -1,0 +1,164 @@
+"""Pixels that no light rules: one comparison each an interval, and the exact law only for the few that may act.
+
+Between views u goes on a straight line, and v lies among the values that u has had: so while u + drift t stays between
+`low` and `high`, a pixel cannot act, and nothing of it is computed. A pixel that is to be looked at is first brought up
+to date through the last HISTORY views. One that slept longer began at the oldest of them in the steady state of a ramp,
+v = u - s tau; the error is what is left of older changes of slope, exp(-(HISTORY - 1) intervals / tau).
+
+In a still view even the comparison is made once for all time to a horizon; what it finds is looked at every interval.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numba
+import numpy as np
+
+from heliograph_services.event_source.simulation.contract import BACKGROUND, LEAK, Floats
+from heliograph_services.event_source.simulation.pixel.model import (
+    BASE,
+    CLAIMED,
+    DEAD,
+    DRIFT,
+    LIGHT,
+    OFF,
+    ON,
+    REF,
+    TAU_LIGHT,
+    TAU_MIN,
+    Floats32,
+    Indices,
+    Pixels,
+    T,
+    U,
+    V,
+)
+from heliograph_services.event_source.simulation.pixel.response import RESERVE, advance, grow
+
+HISTORY: Final = 8
+# Pixels that are compared at once, by vector instructions; only where one of them may act are they looked at singly.
+BLOCK: Final = 64
+# `low` and `high` are float32: so much tighter than what they round.
+MARGIN: Final = 1e-5
+# An ON event of a pixel whose input and output stand still is the leak's.
+STILL: Final = 1e-3
+
+Views = tuple[Floats32, ...]
+
+
+@numba.njit(nogil=True)
+def set_bounds(state: Floats, law: Floats, low: Floats32, high: Floats32, p: int) -> None:
+    """Write what u + drift (t - BASE) must stay between for the pixel to sleep."""
+    if state[p, DEAD] > state[p, T]:
+        high[p], low[p] = -np.inf, np.inf
+        return
+    ref = state[p, REF] - law[DRIFT] * law[BASE]
+    high[p] = ref + state[p, ON] - MARGIN
+    low[p] = ref - state[p, OFF] + MARGIN
+
+
+@numba.njit(nogil=True)
+def rebase(state: Floats, law: Floats, low: Floats32, high: Floats32, t_us: float) -> None:
+    """Let all bounds refer to t_us: float32 would lose what an hour's drift adds."""
+    law[BASE] = t_us
+    for p in range(len(high)):
+        if state[p, CLAIMED] == 0.0:
+            set_bounds(state, law, low, high, p)
+
+
+@numba.njit(nogil=True)
+def candidates(
+    law: Floats, low: Floats32, high: Floats32, view0: Floats32, view1: Floats32, t0_us: float, t1_us: float,
+    out: Indices,
+) -> int:  # fmt: skip
+    """Write the pixels that may act in [t0_us, t1_us] in rising order; return how many."""
+    d0 = np.float32(law[DRIFT] * (t0_us - law[BASE]))
+    d1 = np.float32(law[DRIFT] * (t1_us - law[BASE]))
+    n = len(high)
+    found = 0
+    for start in range(0, n, BLOCK):
+        end = min(start + BLOCK, n)
+        any_of_them = 0
+        for p in range(start, end):
+            any_of_them |= (
+                (view0[p] + d1 >= high[p]) | (view1[p] + d1 >= high[p])
+                | (view0[p] + d0 <= low[p]) | (view1[p] + d0 <= low[p])
+            )  # fmt: skip
+        if any_of_them:
+            for p in range(start, end):
+                u_high, u_low = max(view0[p], view1[p]), min(view0[p], view1[p])
+                if u_high + d1 >= high[p] or u_low + d0 <= low[p]:
+                    out[found] = p
+                    found += 1
+    return found
+
+
+@numba.njit(nogil=True)
+def catch_up(state: Floats, law: Floats, p: int, times: Floats, views: Views) -> None:
+    """Bring a sleeping pixel to times[-1]."""
+    last = len(times) - 1
+    if state[p, T] >= times[last]:
+        return
+    tau_light, tau_min = law[TAU_LIGHT], law[TAU_MIN]
+    first = 0
+    while first < last and times[first + 1] <= state[p, T]:
+        first += 1
+    v = state[p, V]
+    long_ago = state[p, T] < times[first]
+    for k in range(first, last):
+        span = times[k + 1] - max(times[k], state[p, T])
+        if span <= 0.0:
+            continue
+        u_a, u_b = np.float64(views[k][p]), np.float64(views[k + 1][p])
+        tau = max(tau_min, tau_light * math.exp(-0.5 * (u_a + u_b)))
+        lag = (u_b - u_a) / (times[k + 1] - times[k]) * tau
+        if long_ago:
+            v = u_a - lag
+            long_ago = False
+        v = u_b - lag + (v - u_a + lag) * (math.exp(-span / tau) if span < 40.0 * tau else 0.0)
+    # It slept: so it lay between its thresholds, whatever the steady state of a ramp would be.
+    ref = state[p, REF] - law[DRIFT] * times[last]
+    state[p, V] = min(max(v, ref - state[p, OFF]), ref + state[p, ON])
+    state[p, U] = views[last][p]
+    state[p, LIGHT] = math.exp(state[p, U])
+    state[p, T] = times[last]
+
+
+@numba.njit(nogil=True)
+def look(
+    px: Pixels, out: Floats, n: int, found: Indices, count: int, t1_us: float, view1: Floats32, times: Floats,
+    views: Views,
+) -> tuple[Floats, int]:  # fmt: skip
+    """Take the pixels found[:count] to t1_us by the exact law.
+
+    Args:
+        px: all pixels.
+        out: events.
+        n: so many.
+        found: pixels; those that lights rule by now are passed over.
+        count: so many.
+        t1_us: the interval's end.
+        view1: (pixels,) the view there.
+        times: (HISTORY,) when the last views were, the interval's beginning last.
+        views: HISTORY views (pixels,).
+
+    Returns:
+        The events, perhaps elsewhere, and how many there are.
+    """
+    state, law, low, high, seed = px.state, px.law, px.low, px.high, px.seed
+    for k in range(count):
+        p = found[k]
+        if state[p, CLAIMED] > 0.0 or state[p, T] >= t1_us:
+            continue
+        if n + RESERVE > len(out):
+            out = grow(out)
+        catch_up(state, law, p, times, views)
+        u = np.float64(view1[p])
+        still = u == state[p, U]
+        cause = LEAK if still and abs(state[p, V] - u) < STILL else BACKGROUND
+        light = state[p, LIGHT] if still else math.exp(u)
+        n = advance(state, law, seed, out, n, p, t1_us, u, light, cause)
+        set_bounds(state, law, low, high, p)
+    return out, n
