@@ -20,6 +20,7 @@ from heliograph_services.event_source.config import EventSourceConfig
 CAMERAS: Final[dict[str, tuple[str, str]]] = {
     "recording": ("heliograph_services.event_source.cameras.recording", "RecordingCamera"),
     "simulated": ("heliograph_services.event_source.cameras.simulated", "SimulatedCamera"),
+    "images": ("heliograph_services.event_source.cameras.images", "ImagesCamera"),
 }
 ENTRY_POINTS: Final = "heliograph.cameras"
 

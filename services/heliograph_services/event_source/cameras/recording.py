@@ -20,7 +20,7 @@ from heliograph.events import EventBatch, concatenate
 from heliograph.units import US_PER_S
 from heliograph_services.event_source.cameras.contract import Window
 from heliograph_services.event_source.cameras.formats import open_reader
-from heliograph_services.event_source.cameras.formats.contract import Size
+from heliograph_services.event_source.cameras.formats.contract import Reader, Size
 from heliograph_services.event_source.cameras.sieve import Sieve
 from heliograph_services.event_source.cameras.windows import Cutter, floor_to, naming_is_complete, stream_name
 from heliograph_services.event_source.config import EventSourceConfig
@@ -48,15 +48,19 @@ class RecordingCamera:
 
     def __init__(self, config: EventSourceConfig, context: Context) -> None:  # noqa: ARG002 - see the class
         if not config.file:
-            raise ConfigError("file must name a recording where backend is recording")
+            raise ConfigError(f"file must name a recording where backend is {config.backend}")
         self._config = config
         self._path = Path(config.file)
-        self._reader = open_reader(self._path, config.format, Size(config.width, config.height))
+        self._reader = self._opened()
         self.width, self.height = self._reader.size.width, self._reader.size.height
         self.intrinsics: Intrinsics | None = None
         first = self._first_events()
         self.stream = stream_name(self.width, self.height, first)
         self._start_us = floor_to(int(first.t_us[0]), config.window_us)
+
+    def _opened(self) -> Reader:
+        """Return the reader of the file; other kinds of files have others."""
+        return open_reader(self._path, self._config.format, Size(self._config.width, self._config.height))
 
     def close(self) -> None:
         """Do nothing: a file is open only while windows are drawn."""
