@@ -1,0 +1,54 @@
+"""What a network that runs takes and gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from heliograph_services.tracker.flow.network import DELAY_LIMIT
+
+Ints = npt.NDArray[np.int32]
+
+# A tick and the ten before it.
+TICKS: Final = DELAY_LIMIT + 1
+# Buffers of spikes grow when they are full.
+SPIKES_AT_FIRST: Final = 4096
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spikes:
+    """The n spikes of one tick.
+
+    Args:
+        x: (n,) int32, column.
+        y: (n,) int32, row.
+        k: (n,) int32, neuron.
+        s: (n,) float32, potential.
+    """
+
+    x: Ints
+    y: Ints
+    k: Ints
+    s: npt.NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+
+class Runtime(Protocol):
+    """A network that runs."""
+
+    def step(self, x: npt.NDArray[Any], y: npt.NDArray[Any]) -> Spikes:
+        """Take the distinct active pixels of the next tick, all on the image; return its spikes."""
+        ...
+
+    def skip(self, ticks: int) -> list[Spikes]:
+        """Pass so many ticks without input; return the spikes of the first that can have any."""
+        ...
+
+
+NO_PIXELS: Final = np.empty(0, np.int64)
+NO_SPIKES: Final = Spikes(np.empty(0, np.int32), np.empty(0, np.int32), np.empty(0, np.int32), np.empty(0, np.float32))
