@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from heliograph.events import EventBatch, concatenate
@@ -223,6 +223,10 @@ def test_scans_without_events_cost_nothing_however_long_they_last() -> None:
     assert hour_us + 100 <= int(batch.t_us[0]) < hour_us + 300
 
 
+NUMBERS = ScanNumbers(
+    mode="test", clock_ns=20, group_px=1, group_cycles=0, column_cycles=0, next_sel_cycles=9, detect_us=2.0,
+    fixed_us=0.0, stretch_us=0.7, latch="first", sample="hold", stamp="start",
+)  # fmt: skip
 SMALL = {"w": 6, "h": 20}
 numbers_of = st.builds(
     ScanNumbers,
@@ -255,7 +259,10 @@ def small_events(crossings: list[tuple[int, int, bool]]) -> PixelEvents:
     )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=400, deadline=None)
+@example(  # a cut within the second scan: its events must not take the place of the first one's
+    replace(NUMBERS, sample="column", stamp="end"), [(0, 0, False), (2090, 0, False)], [25]
+)
 @given(numbers_of, crossings_of, st.lists(st.integers(1, 59), max_size=12))
 def test_any_cut_of_the_stream_reads_the_same_as_the_plain_scan(
     numbers: ScanNumbers, crossings: list[tuple[int, int, bool]], cuts: list[int]

@@ -93,7 +93,7 @@ class ScanReadout:
             ],
             np.int64,
         )
-        self._state = np.zeros(6, np.int64)
+        self._state = np.zeros(5, np.int64)
         self._state[START] = -math.floor(phase * quiet_ns(self._parameters))
         self._counts = np.zeros(len(COUNTERS), np.int64)
         self._pixels = np.zeros(width * height, PIXEL)

@@ -14,7 +14,7 @@ import numpy as np
 
 # Places of the parameters, of the state and of the counts in their arrays.
 WIDTH, GROUP_PX, GROUP_NS, COLUMN_NS, NEXT_NS, DETECT_NS, FIXED_NS, STRETCH_NS, LATCH, SAMPLE, STAMP = range(11)
-START, PHASE, COLUMN, NOW, SCAN_BEGINS, END = range(6)
+START, PHASE, COLUMN, NOW, END = range(5)
 IN, READ, MERGED, CANCELLED, BEFORE_RESET, NO_TIME, WAITING, SCANS = range(8)
 
 DETECTING, READING, ENDING = range(3)
@@ -183,9 +183,6 @@ def _column(par: Any, state: Any, counts: Any, pixels: Any, first: Any, rows: An
     if x + 1 == par[WIDTH]:
         state[PHASE] = ENDING
         state[END] = (stop_ns if par[FIXED_NS] > 0 else state[NOW]) + par[STRETCH_NS]
-        if par[STAMP] == AT_END:
-            for k in range(state[SCAN_BEGINS], written):
-                out[k].t_us = state[END] // 1000
     return written
 
 
@@ -223,9 +220,12 @@ def run(t_us: Any, pixel: Any, on: Any, cause: Any, until_ns: Any, par: Any, sta
         if pausing:
             return done, written
         if state[PHASE] == DETECTING:
-            state[PHASE], state[COLUMN], state[NOW], state[SCAN_BEGINS] = READING, 0, needed_ns, written
+            state[PHASE], state[COLUMN], state[NOW] = READING, 0, needed_ns
         elif state[PHASE] == READING:
             written = _column(par, state, counts, pixels, first, rows, out, written)
         else:
+            if par[STAMP] == AT_END:
+                for k in range(done, written):
+                    out[k].t_us = state[END] // 1000
             state[START], state[PHASE], done = state[END], DETECTING, written
             counts[SCANS] += 1
