@@ -38,6 +38,7 @@ SENDERS: Final = {
     "events": "event_source",
     "onsets": "event_source",
     "truth": "event_source (simulated)",
+    "image": "event_source (simulated)",
     "tracks": "tracker",
     "progress": "every service that paces a source",
     "health": "every service",
@@ -54,11 +55,12 @@ CHUNKS: Final = {
     "health": "{service}/{instance}",
     "live": "{service}/{instance}",
 }
-RESERVED: Final = ("flow", "clock", "image", "beacon")
+RESERVED: Final = ("flow", "clock", "beacon")
 # What travels as packed arrays checks its body by a record of its own.
 BODIES: Final[dict[str, type[msgspec.Struct]]] = {
     "events": streams._EventsBody,  # noqa: SLF001 - the page documents just this
     "onsets": streams._OnsetsBody,  # noqa: SLF001
+    "image": streams._ImageBody,  # noqa: SLF001
     "truth": truth._TruthBody,  # noqa: SLF001
 }
 

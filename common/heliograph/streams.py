@@ -1,4 +1,4 @@
-"""The two big streams of a camera: `Events` (raw) and `Onsets` (compact), as arrays in memory and on the wire.
+"""The big streams of a camera, as arrays in memory and on the wire: `Events` (raw), `Onsets` (compact), `Image`.
 
 Events, body on the wire (little-endian, struct of arrays: 8.1 bytes an event)::
 
@@ -12,6 +12,10 @@ Onsets, body on the wire (6 bytes an active pixel and tick, 2 a tick, before com
     n int, columns bytes: zlib of, one after another,
         per_tick 2 k: u2, active pixels of each of the k = (t1 - t0) / tick ticks; their sum is n
         x_px 2 n: u2, y_px 2 n: u2, on_count n: u1, off_count n: u1
+
+Image, body on the wire::
+
+    camera, stream, t_us int, width, height, grey bytes: zlib of width x height bytes, row by row from the top
 
 `t1_us` is a watermark: with this message everything before t1_us has been delivered. A message may be empty: it then
 says that the camera saw nothing. `stream` names one run of a camera: when it changes, time starts anew.
@@ -37,7 +41,11 @@ TICKS_LIMIT: Final = 65_535
 # The fastest level: neighbours in a blob share most of their bytes, and more effort gains a tenth.
 ZLIB_LEVEL: Final = 1
 
+# Of an image: 4 MB; event cameras on sale have 1 Mpx at most.
+IMAGE_LIMIT_PX: Final = 4_194_304
+
 Counts = npt.NDArray[np.uint8]
+Grey = npt.NDArray[np.uint8]
 
 
 class _Window(msgspec.Struct, frozen=True, kw_only=True):
@@ -69,6 +77,15 @@ class _OnsetsBody(_Window, frozen=True, kw_only=True):
     pool_px: Annotated[int, Meta(ge=1, le=64)]
     n: Annotated[int, Meta(ge=0, le=EVENTS_LIMIT)]
     columns: bytes
+
+
+class _ImageBody(msgspec.Struct, frozen=True, kw_only=True):
+    camera: Name
+    stream: Name
+    t_us: TimeUs
+    width: Side
+    height: Side
+    grey: bytes
 
 
 def inflated(packed: bytes, wanted: int) -> bytes:
@@ -259,3 +276,58 @@ class Onsets(Message, frozen=True, kw_only=True):
     def time_us(self) -> int:
         """The watermark."""
         return self.t1_us
+
+
+class Image(Message, frozen=True, kw_only=True):
+    """What a camera sees at t_us as a grey image, for people to look at; no service decides anything by it.
+
+    Args:
+        stream: the run of the camera that it belongs to.
+        grey: (height, width) uint8, row 0 at the top.
+    """
+
+    SCHEMA: ClassVar[str] = "image"
+    camera: str
+    stream: str
+    t_us: int
+    grey: Grey
+
+    @property
+    def width(self) -> int:
+        """The number of columns."""
+        return int(self.grey.shape[1])
+
+    @property
+    def height(self) -> int:
+        """The number of rows."""
+        return int(self.grey.shape[0])
+
+    def to_body(self) -> dict[str, Any]:
+        """Return the body of the module's table."""
+        return {
+            "camera": self.camera,
+            "stream": self.stream,
+            "t_us": self.t_us,
+            "width": self.width,
+            "height": self.height,
+            "grey": zlib.compress(np.ascontiguousarray(self.grey).tobytes(), ZLIB_LEVEL),
+        }
+
+    @classmethod
+    def from_body(cls, body: dict[str, Any]) -> Self:
+        """Return the record of a body, checked.
+
+        Raises:
+            ValueError: the body breaks the module's table, or has more than IMAGE_LIMIT_PX pixels.
+        """
+        raw = msgspec.convert(body, _ImageBody, strict=True)
+        n = raw.width * raw.height
+        if n > IMAGE_LIMIT_PX:
+            raise ValueError(f"an image has at most {IMAGE_LIMIT_PX} pixels, not {raw.width}x{raw.height}")
+        grey = np.frombuffer(inflated(raw.grey, n), np.uint8).reshape(raw.height, raw.width)
+        return cls(camera=raw.camera, stream=raw.stream, t_us=raw.t_us, grey=grey)
+
+    @property
+    def time_us(self) -> int:
+        """The time of the view."""
+        return self.t_us

@@ -37,6 +37,7 @@ SCHEMAS: Final[dict[str, type[Message]]] = {
     for kind in (
         streams.Events,
         streams.Onsets,
+        streams.Image,
         messages.Tracks,
         messages.Status,
         messages.Frames,

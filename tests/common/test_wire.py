@@ -16,7 +16,7 @@ from heliograph import truth
 from heliograph.errors import Refusal
 from heliograph.events import EventBatch
 from heliograph.messages import Message, Tracks
-from heliograph.streams import Events, Onsets
+from heliograph.streams import Events, Image, Onsets
 from heliograph.wire import SCHEMAS, Header, Refused, encoding_of, pack, pack_body, unpack
 from support.mutate import mutations
 from support.records import every_record, header_of
@@ -45,8 +45,8 @@ def envelope(message: Message, **changes: object) -> bytes:
 def test_golden_bytes_of_every_schema_are_what_they_were() -> None:
     golden = json.loads(GOLDEN.read_text())
     packed = {m.SCHEMA: pack(header_of(m), m).hex() for m in every_record()}
-    # Two versions of zlib may pack the same columns differently: onsets and truth are golden as they are read.
-    zipped = {"onsets", "truth"}
+    # Two versions of zlib may pack the same columns differently: these are golden as they are read.
+    zipped = {"onsets", "image", "truth"}
     assert packed.keys() == golden.keys()
     assert {n: t for n, t in packed.items() if n not in zipped} == {n: t for n, t in golden.items() if n not in zipped}
 
@@ -166,3 +166,30 @@ def test_empty_onsets_still_say_that_time_has_passed() -> None:
     back = opened(pack(header_of(onsets), onsets))[1]
     assert isinstance(back, Onsets)
     assert (back.ticks, len(back.tick), back.end) == (4, 0, True)
+
+
+def test_an_image_comes_back_row_by_row() -> None:
+    grey = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    image = Image(camera="cam0", stream="5eed", t_us=5, grey=grey)
+    _, back = opened(pack(header_of(image), image))
+    assert isinstance(back, Image)
+    assert (back.width, back.height, back.t_us) == (4, 3, 5)
+    assert (back.grey == grey).all()
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"width": 5},  # more pixels than bytes
+        {"width": 3},  # more bytes than pixels
+        {"width": 0},
+        {"width": 4096, "height": 4096},  # a few bytes may not ask for 16 MB
+        {"grey": b"no zlib"},
+        {"grey": zlib.compress(bytes(12)) + b"x"},
+        {"t_us": 2**60},
+        {"stream": "a/b"},
+    ],
+)
+def test_an_image_that_is_not_what_it_says_is_refused(changes: dict[str, object]) -> None:
+    image = Image(camera="cam0", stream="5eed", t_us=5, grey=np.zeros((3, 4), np.uint8))
+    assert reason(envelope(image, body=image.to_body() | changes)) is Refusal.BAD_BODY

@@ -20,7 +20,7 @@ from heliograph.messages import (
     Status,
     Tracks,
 )
-from heliograph.streams import Events, Onsets
+from heliograph.streams import Events, Image, Onsets
 from heliograph.truth import Truth
 from heliograph.wire import Header, header_for
 
@@ -138,6 +138,7 @@ def every_record() -> list[Message]:
             gauges={"mar": 0.96875},
         ),
         Clock(camera="cam0", t_us=1_000_000, offset_us=1_700_000_000_000_000, drift_ppm=12.5, uncertainty_us=150.0),
+        Image(camera="cam0", stream="5eed", t_us=1000, grey=np.array([[0, 100, 255], [7, 7, 7]], np.uint8)),
         Truth(
             camera="cam0",
             t0_us=0,
