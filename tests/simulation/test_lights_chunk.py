@@ -11,7 +11,7 @@ from heliograph_services.event_source.simulation.lights import drive_of
 from heliograph_services.event_source.simulation.lights.chunk import Lights
 from heliograph_services.event_source.simulation.world.load import parse_scenario
 from heliograph_services.event_source.simulation.world.spec import BeaconSpec, ClutterSpec
-from heliograph_services.event_source.simulation.world.world import Geometry, LightInfo, World
+from heliograph_services.event_source.simulation.world.world import LightInfo, World
 
 SCENE = """
 [camera]
@@ -51,7 +51,8 @@ def test_chunks_join_every_light_with_its_emitters_edges() -> None:
     level = None
     for t0_us in range(0, 10 * CHUNK_US, CHUNK_US):
         geometry = world.chunk_geometry(t0_us)
-        chunk = lights.chunk(t0_us, geometry)
+        where = (geometry.x_px, geometry.y_px, geometry.sigma_px, geometry.flux_w_m2)
+        chunk = lights.chunk(t0_us, where)
         assert chunk.t0_us == t0_us
         assert chunk.x_px.shape == (4, NODES + 1)
         assert chunk.flux_w_m2 is geometry.flux_w_m2
@@ -70,5 +71,5 @@ def test_chunks_join_every_light_with_its_emitters_edges() -> None:
 
 def test_a_world_without_lights_has_empty_chunks() -> None:
     nothing = np.empty((0, NODES + 1))
-    chunk = Lights([], Nothing([])).chunk(0, Geometry(nothing, nothing, nothing, nothing))
+    chunk = Lights([], Nothing([])).chunk(0, (nothing, nothing, nothing, nothing))
     assert (len(chunk.level0), chunk.edge_first.tolist(), len(chunk.edge_us)) == (0, [0], 0)

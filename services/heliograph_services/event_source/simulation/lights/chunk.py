@@ -20,17 +20,6 @@ class _World(Protocol):
     def lights(self) -> Sequence[_Light]: ...
 
 
-class _Geometry(Protocol):
-    @property
-    def x_px(self) -> Floats: ...
-    @property
-    def y_px(self) -> Floats: ...
-    @property
-    def sigma_px(self) -> Floats: ...
-    @property
-    def flux_w_m2(self) -> Floats: ...
-
-
 class Lights:
     """Makes the chunks of all lights of a world; the LEDs of one beacon share its drive.
 
@@ -43,24 +32,25 @@ class Lights:
         self._drives = list(drives)
         self._emitter = [light.emitter for light in world.lights]
 
-    def chunk(self, t0_us: int, geometry: _Geometry) -> LightChunk:
+    def chunk(self, t0_us: int, geometry: tuple[Floats, Floats, Floats, Floats]) -> LightChunk:
         """Return the lights in [t0_us, t0_us + CHUNK_US).
 
         Args:
             t0_us: a multiple of CHUNK_US.
-            geometry: of that time (`World.chunk_geometry`), (lights, NODES + 1) each.
+            geometry: x_px, y_px, sigma_px and flux_w_m2, (lights, NODES + 1) each (`World.chunk_geometry`).
         """
         level0 = [drive.level(t0_us) for drive in self._drives]
         changes = [drive.changes(t0_us, t0_us + CHUNK_US) for drive in self._drives]
         edges = [changes[i] for i in self._emitter]
+        x_px, y_px, sigma_px, flux_w_m2 = geometry
         first = np.zeros(len(edges) + 1, np.int64)
         np.cumsum([len(t_us) for t_us, _ in edges], out=first[1:])
         return LightChunk(
             t0_us=t0_us,
-            x_px=geometry.x_px,
-            y_px=geometry.y_px,
-            sigma_px=geometry.sigma_px,
-            flux_w_m2=geometry.flux_w_m2,
+            x_px=x_px,
+            y_px=y_px,
+            sigma_px=sigma_px,
+            flux_w_m2=flux_w_m2,
             level0=np.array([level0[i] for i in self._emitter], np.float64),
             edge_first=first,
             edge_us=np.concatenate([t_us for t_us, _ in edges]) if edges else np.empty(0),

@@ -1,7 +1,8 @@
 """A picture of a scene: the view with the beacons' ways and the assets, and what the sensor made of it.
 
-Four panels: the view; the events of 5 ms from the middle of the run, as an image; row over time of the tenth of a
-second about them; events a second over the whole run, by what made them. Its title names all that it depends on.
+Four panels: the view; the events of 5 ms from the middle of the run, as an image; row over time of the lights' events
+in the tenth of a second about them; events a second over the whole run, by what made them. Its title names all that it
+depends on.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliograph.errors import ConfigError, FileError
-from heliograph.events import EventBatch
+from heliograph.events import EventBatch, Flags
 from heliograph.truth import Truth
 from heliograph.units import US_PER_MS, US_PER_S
 from heliograph_services.event_source.simulation.contract import BACKGROUND, Floats, Labels
@@ -75,6 +76,7 @@ class Picture:
         self._world = world
         self._t0_us = max(0, (run.duration_us - STRETCH_US) // 2)
         self._held: list[EventBatch] = []
+        self._lights: list[EventBatch] = []
         self._held_events = 0
         self._ways: dict[str, _Way] = {}
         self._bin_us = max(US_PER_MS, -(-run.duration_us // _BINS))
@@ -85,7 +87,9 @@ class Picture:
         batch = step.batch
         low, high = (int(i) for i in np.searchsorted(batch.t_us, (self._t0_us, self._t0_us + STRETCH_US)))
         if high > low and self._held_events < _HELD_EVENTS:
-            self._held.append(batch.part(low, high))
+            part = batch.part(low, high)
+            self._held.append(part)
+            self._lights.append(part if step.labels is None else _chosen(part, step.labels[low:high] >= 0))
             self._held_events += high - low
         if len(batch):
             at = np.minimum(batch.t_us // self._bin_us, self._rates.shape[1] - 1)
@@ -158,14 +162,14 @@ class Picture:
 
     def _draw_stretch(self, axes: Axes) -> None:
         for is_on, colour in ((True, _ON), (False, _OFF)):
-            t_us, y_px = _column(self._held, "t_us", is_on=is_on), _column(self._held, "y_px", is_on=is_on)
+            t_us, y_px = (_column(self._lights, name, is_on=is_on) for name in ("t_us", "y_px"))
             every = max(1, len(t_us) // _POINTS)
             axes.plot(t_us[::every] / US_PER_MS, y_px[::every], ",", color=colour)
         axes.set_xlim(self._t0_us / US_PER_MS, (self._t0_us + STRETCH_US) / US_PER_MS)
         axes.set_ylim(self._run.sensor.height - 0.5, -0.5)
         axes.set_xlabel("time, ms")
         axes.set_ylabel("row, px")
-        axes.set_title("rows over time")
+        axes.set_title("rows over time, the lights' events")
 
     def _draw_rates(self, axes: Axes) -> None:
         t_s = (np.arange(self._rates.shape[1]) + 0.5) * self._bin_us / US_PER_S
@@ -197,6 +201,10 @@ def _groups(labels: Labels | None, n: int) -> npt.NDArray[np.int64]:
 def _cut(batch: EventBatch, t0_us: int, t1_us: int) -> EventBatch:
     low, high = (int(i) for i in np.searchsorted(batch.t_us, (t0_us, t1_us)))
     return batch.part(low, high)
+
+
+def _chosen(batch: EventBatch, which: Flags) -> EventBatch:
+    return EventBatch(batch.t_us[which], batch.x_px[which], batch.y_px[which], batch.on[which])
 
 
 def _column(batches: Sequence[EventBatch], name: str, *, is_on: bool) -> npt.NDArray[np.int64]:

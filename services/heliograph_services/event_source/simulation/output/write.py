@@ -161,6 +161,24 @@ def write_files(
     return Written(events, frames, run.stream)
 
 
+def write_truth(run: Run, truths: Iterable[Truth], path: Path | None) -> int:
+    """Write the truth alone, or only count its frames; return their number.
+
+    Raises:
+        FileError: the file cannot be written.
+    """
+    frames = 0
+    with ExitStack() as stack:
+        lines = None if path is None else _TruthLines(stack.enter_context(_Whole(path)).file)
+        if lines is not None:
+            lines.scenario(run)
+        for truth in truths:
+            frames += len(truth.frame_t1_us)
+            if lines is not None:
+                lines.window(truth, end=truth.t1_us == run.duration_us)
+    return frames
+
+
 class _Whole:
     """A text file that takes its name only when all of it has been written."""
 
