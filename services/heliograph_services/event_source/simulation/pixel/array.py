@@ -31,7 +31,6 @@ from heliograph_services.event_source.simulation.pixel.model import (
     ON,
     REF,
     SENT,
-    Floats32,
     T,
     U,
     V,
@@ -41,18 +40,11 @@ from heliograph_services.event_source.simulation.pixel.model import (
 )
 from heliograph_services.event_source.simulation.pixel.noise import BLOCK_US
 from heliograph_services.event_source.simulation.pixel.spots import LEVEL, Chunk, no_lights
-from heliograph_services.event_source.simulation.pixel.surroundings import HISTORY
+from heliograph_services.event_source.simulation.pixel.surroundings import HISTORY, Past
 
 # How often the bounds of sleeping pixels are computed anew, on the grid of time: drift times this stays far below what
 # float32 resolves beside a threshold.
 REBASE_US = 8_000_000
-
-
-def _flat(view: View) -> Floats32:
-    """Return the view as one read-only row, whichever kind it was: one type for the kernels."""
-    row = np.ascontiguousarray(view, np.float32).reshape(-1).view()
-    row.flags.writeable = False
-    return row
 
 
 class PixelArray:
@@ -75,11 +67,12 @@ class PixelArray:
         if first_view.shape != (height, width):
             raise ValueError(f"the view must be of shape {(height, width)}, not {first_view.shape}")
         self._seed = signed(seed)
-        first = _flat(first_view)
-        self._px = fresh(numbers, seed, first)
+        # The row beyond the past's is for the view at the present interval's end.
+        views = np.tile(first_view.reshape(-1).astype(np.float32), (HISTORY + 1, 1))
+        self._px = fresh(numbers, seed, views[0])
         self._object = first_view
-        self._views = (first,) * HISTORY
-        self._times = np.full(HISTORY, -1.0)
+        self._past = Past(np.zeros(HISTORY), np.arange(HISTORY), views)
+        self._free = HISTORY
         self._out = np.empty((1 << 14, 2))
         self._held = 0
         self._mine, self._claimed = np.empty(width * height, np.int32), 0
@@ -119,8 +112,9 @@ class PixelArray:
             if first:
                 self._look_first(float(t0_us))
         still = view1 is view0
-        last = self._views[-1]
-        row = last if still else _flat(view1)
+        row = int(self._past.rows[-1]) if still else self._free
+        if not still:
+            self._past.views[row] = view1.reshape(-1)
         until_us = float(t1_us)
         if still:
             until_us = float(t0_us - t0_us % CHUNK_US + CHUNK_US)
@@ -128,7 +122,7 @@ class PixelArray:
         search = not still or t0_us >= self._watched_until_us or self._watched > len(self._watch)
         self._out, self._held, self._watched = UNLIT(
             self._px, self._out, self._held, float(t0_us), float(t1_us), until_us,
-            float(t0_us - t0_us % REBASE_US), search, self._times, self._views, row, self._watch, self._watched,
+            float(t0_us - t0_us % REBASE_US), search, self._past, row, self._watch, self._watched,
         )  # fmt: skip
         self._watched_until_us = until_us if still else -1.0
         self._remember(t1_us, row, still)
@@ -147,7 +141,7 @@ class PixelArray:
 
     def _begin(self, t0_us: int) -> None:
         self._px.state[:, T] = t0_us
-        self._times[:] = t0_us
+        self._past.times[:] = t0_us
         self._block = t0_us // BLOCK_US
         # No base yet: the first interval computes all bounds.
         self._px.law[BASE] = -1.0
@@ -188,28 +182,28 @@ class PixelArray:
         self._arrays = arrays._replace(
             edge_first=np.arange(count + 1), edge_us=np.full(count, t0_us), edge_level=levels
         )  # fmt: skip
-        self._play(t0_us, t0_us + 1e-3, t0_us, self._views[-1])
+        self._play(t0_us, t0_us + 1e-3, t0_us, int(self._past.rows[-1]))
         self._arrays, self._held = arrays, 0
         px, lit = self._px, self._mine[: self._claimed]
-        px.state[lit, REF] += px.state[lit, U] - self._views[-1][lit]
+        px.state[lit, REF] += px.state[lit, U] - self._past.views[self._past.rows[-1], lit]
         px.state[lit, V], px.state[lit, T] = px.state[lit, U], t0_us
         px.state[lit, SENT], px.state[lit, DEAD], px.state[lit, COUNT] = NEVER, NEVER, 0.0
 
-    def _play(self, t0_us: float, t1_us: float, horizon_us: float, row: Floats32) -> None:
+    def _play(self, t0_us: float, t1_us: float, horizon_us: float, row: int) -> None:
         if len(self._lights.place) == 0:
             return
         self._out, self._held, self._claimed, self._watched = LIT(
-            self._px, self._lights, self._arrays, self._out, self._held, t0_us, t1_us, horizon_us, self._times,
-            self._views, row, self._mine, self._claimed, self._watch, self._watched, self._width,
+            self._px, self._lights, self._arrays, self._out, self._held, t0_us, t1_us, horizon_us, self._past, row,
+            self._mine, self._claimed, self._watch, self._watched, self._width,
         )  # fmt: skip
 
-    def _remember(self, t1_us: int, row: Floats32, still: bool) -> None:
-        if still and self._views[-2] is row:
-            self._times[-1] = t1_us
-            return
-        self._views = (*self._views[1:], row)
-        self._times[:-1] = self._times[1:]
-        self._times[-1] = t1_us
+    def _remember(self, t1_us: int, row: int, still: bool) -> None:
+        times, rows = self._past.times, self._past.rows
+        if not (still and rows[-2] == row):
+            times[:-1], rows[:-1] = times[1:].copy(), rows[1:].copy()
+            rows[-1] = row
+            self._free = min(set(range(HISTORY + 1)) - set(rows.tolist()))
+        times[-1] = t1_us
 
     def _finish(self, t0_us: int, t1_us: int) -> PixelEvents:
         after = -(-t1_us // BLOCK_US)

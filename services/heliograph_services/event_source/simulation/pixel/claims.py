@@ -14,6 +14,7 @@ import numba
 import numpy as np
 
 from heliograph_services.event_source.simulation.contract import BACKGROUND, Floats, Ints
+from heliograph_services.event_source.simulation.pixel.borrow import borrowed
 from heliograph_services.event_source.simulation.pixel.model import (
     CLAIMED,
     DEAD,
@@ -24,7 +25,9 @@ from heliograph_services.event_source.simulation.pixel.model import (
     ON,
     OWNER,
     REF,
+    SKY,
     TOUCHED,
+    VIEW,
     Floats32,
     Indices,
     Pixels,
@@ -46,7 +49,7 @@ from heliograph_services.event_source.simulation.pixel.spots import (
     arrange,
     at_node,
 )
-from heliograph_services.event_source.simulation.pixel.surroundings import Views, catch_up, set_bounds
+from heliograph_services.event_source.simulation.pixel.surroundings import Past, catch_up, set_bounds
 
 RELEASE_US: Final = 20_000.0
 # At rest: nearer to its input than this share of its threshold.
@@ -56,12 +59,20 @@ NOTHING: Final = 1e-12
 
 
 @numba.njit(nogil=True)
-def _claim(px: Pixels, p: int, times: Floats, views: Views, mine: Indices, n_mine: int) -> int:
-    catch_up(px.state, px.law, p, times, views)
+def _claim(px: Pixels, p: int, past: Past, mine: Indices, n_mine: int) -> int:
+    catch_up(px.state, px.law, p, past)
     px.state[p, CLAIMED] = 1.0
     px.high[p], px.low[p] = np.inf, -np.inf
     mine[n_mine] = p
     return n_mine + 1
+
+
+@numba.njit(nogil=True)
+def _sky(state: Floats, p: int, view: float) -> float:
+    """Return exp(view)."""
+    if view != state[p, VIEW]:
+        state[p, VIEW], state[p, SKY] = view, math.exp(view)
+    return float(state[p, SKY])
 
 
 @numba.njit(nogil=True)
@@ -76,7 +87,7 @@ def _touch(
     u, light = state[p, U], state[p, LIGHT]
     surroundings = -1.0
     if not (still and before == old):
-        surroundings = math.exp(view)
+        surroundings = _sky(state, p, view)
         light = surroundings + lit
         u = math.log(light) if lit > 0.0 else view
     n = advance(state, law, seed, out, n, p, t_us, u, light, int(state[p, OWNER]))
@@ -87,7 +98,7 @@ def _touch(
         if lit < NOTHING * (before + after):
             lit = 0.0
         if surroundings < 0.0:
-            surroundings = math.exp(view)
+            surroundings = _sky(state, p, view)
         state[p, LIGHT] = surroundings + lit
         state[p, U] = math.log(surroundings + lit) if lit > 0.0 else view
     state[p, EXTRA] = lit
@@ -115,7 +126,7 @@ def _both(old: Indices, new: Indices) -> tuple[int, int, int, int]:
 @numba.njit(nogil=True)
 def _change(
     px: Pixels, lights: Lights, out: Floats, n: int, i: int, t_us: float, moved: bool, least: float,
-    now: tuple[float, float], line: tuple[Floats32, Floats32, float], times: Floats, views: Views,
+    now: tuple[float, float], line: tuple[Floats32, Floats32, float], past: Past,
     mine: Indices, n_mine: int, width: int,
 ) -> tuple[Floats, int, int]:  # fmt: skip
     """Bring light i to all pixels of its old and new box; now: its light at the new place before and after t_us."""
@@ -126,6 +137,7 @@ def _change(
         new_box, new_x, new_y = lights.new_box, lights.new_x, lights.new_y
     was, old_least = lights.place[i, NOW], lights.place[i, LEAST]
     before, after = now
+    events = borrowed(out)
     view0, view1, share = line
     x0, x1, y0, y1 = _both(old_box, new_box) if was > 0.0 else _both(new_box, new_box)
     for row in range(y0, y1):
@@ -136,14 +148,15 @@ def _change(
                 continue
             p = row * width + column
             if state[p, CLAIMED] == 0.0:
-                n_mine = _claim(px, p, times, views, mine, n_mine)
-            if n + RESERVE > len(out):
+                n_mine = _claim(px, p, past, mine, n_mine)
+            if n + RESERVE > len(events):
                 out = grow(out)
+                events = borrowed(out)
             view = np.float64(view0[p])
             still = view0[p] == view1[p]
             if not still:
                 view += (view1[p] - view) * share
-            n = _touch(state, law, seed, out, n, p, i, t_us, view, still, was * w_old, before * w, after * w)
+            n = _touch(state, law, seed, events, n, p, i, t_us, view, still, was * w_old, before * w, after * w)
     return out, n, n_mine
 
 
@@ -160,7 +173,7 @@ def _keep(lights: Lights, i: int, x: float, y: float, sigma: float, flux: float,
 @numba.njit(nogil=True)
 def play(
     px: Pixels, lights: Lights, chunk: Chunk, when: Floats, who: Ints, what: Floats, out: Floats, n: int,
-    view0: Floats32, view1: Floats32, t0_us: float, t1_us: float, times: Floats, views: Views,
+    view0: Floats32, view1: Floats32, t0_us: float, t1_us: float, past: Past,
     mine: Indices, n_mine: int, width: int,
 ) -> tuple[Floats, int, int]:  # fmt: skip
     """Take the lights through their instants.
@@ -178,8 +191,7 @@ def play(
         view1: (pixels,) the view at t1_us.
         t0_us: beginning of the interval.
         t1_us: its end.
-        times: of the last views.
-        views: they.
+        past: the last views.
         mine: (pixels,) the claimed pixels.
         n_mine: so many.
         width: of the sensor.
@@ -206,7 +218,7 @@ def play(
         line = (view0, view1, (t_us - t0_us) / (t1_us - t0_us))
         now = (level * flux, after * flux)
         out, n, n_mine = _change(
-            px, lights, out, n, i, t_us, moved, least, now, line, times, views, mine, n_mine, width
+            px, lights, out, n, i, t_us, moved, least, now, line, past, mine, n_mine, width
         )  # fmt: skip
         place[NOW] = after * flux
         if moved:
@@ -239,17 +251,19 @@ def settle(
     """
     state, law, seed, low, high = px.state, px.law, px.seed, px.low, px.high
     kept = 0
+    events = borrowed(out)
     for k in range(n_mine):
         p = mine[k]
-        if n + RESERVE > len(out):
+        if n + RESERVE > len(events):
             out = grow(out)
+            events = borrowed(out)
         u, light, lit = state[p, U], state[p, LIGHT], state[p, EXTRA]
         if view0[p] != view1[p]:
             u = np.float64(view1[p])
             light = math.exp(u) + lit
             if lit > 0.0:
                 u = math.log(light)
-        n = advance(state, law, seed, out, n, p, t1_us, u, light, int(state[p, OWNER]))
+        n = advance(state, law, seed, events, n, p, t1_us, u, light, int(state[p, OWNER]))
         rest = abs(state[p, V] - u) < REST * state[p, ON] and state[p, DEAD] <= t1_us
         if lit > 0.0 or not (rest or t1_us - state[p, TOUCHED] > RELEASE_US):
             mine[kept] = p

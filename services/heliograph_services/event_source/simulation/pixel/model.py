@@ -12,6 +12,7 @@ from heliograph_services.event_source.simulation import random
 from heliograph_services.event_source.simulation.contract import BACKGROUND, Floats, PixelNumbers, View
 
 Floats32 = npt.NDArray[np.float32]
+Tables = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int32]
 
 # Columns of a pixel's state: sixteen float64, two lines of cache. One array, and another for the events, because each
@@ -30,6 +31,8 @@ COUNT: Final = 10  # events made: a counter of random numbers
 OWNER: Final = 11  # the light that was last seen to change here, else BACKGROUND
 TOUCHED: Final = 12  # when, us
 CLAIMED: Final = 13  # 1 while lights rule the pixel
+VIEW: Final = 14  # of the surroundings, when SKY was computed
+SKY: Final = 15  # exp(VIEW)
 COLUMNS: Final = 16
 
 # Entries of the law.
@@ -118,7 +121,8 @@ def fresh(numbers: PixelNumbers, seed: int, first: View) -> Pixels:
     law[JITTER] = numbers.jitter_us
     state = np.zeros((n, COLUMNS))
     state[:, U] = state[:, V] = state[:, REF] = first.reshape(-1)
-    state[:, LIGHT] = np.exp(state[:, U])
+    state[:, VIEW] = state[:, U]
+    state[:, SKY] = state[:, LIGHT] = np.exp(state[:, U])
     state[:, ON], state[:, OFF] = on, off
     if numbers.leak_hz > 0.0:
         state[:, REF] -= on * random.uniforms(seed, random.LEAK, np.arange(n))

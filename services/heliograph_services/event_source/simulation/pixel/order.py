@@ -20,27 +20,32 @@ BITS: Final = 11
 
 @numba.njit(nogil=True)
 def _by_time(keys: Ints) -> Ints:
-    """Return the indices that put the keys (at least 0) into order, equal ones as they were."""
+    """Return the indices that put the keys (0 to 2^31 - 1) into order, equal ones as they were."""
     n = len(keys)
-    order, other = np.arange(n), np.empty(n, np.int64)
+    # A key and its index travel together, in one word.
+    words, other = np.empty(n, np.int64), np.empty(n, np.int64)
     most = 0
     for k in range(n):
+        words[k] = keys[k] << 32 | k
         most = max(most, keys[k])
     first = np.empty((1 << BITS) + 1, np.int64)
-    shift = 0
-    while (most >> shift) > 0:
+    shift = 32
+    while most > 0:
         first[:] = 0
         for k in range(n):
-            first[((keys[k] >> shift) & ((1 << BITS) - 1)) + 1] += 1
+            first[((words[k] >> shift) & ((1 << BITS) - 1)) + 1] += 1
         for d in range(1 << BITS):
             first[d + 1] += first[d]
         for k in range(n):
-            digit = (keys[order[k]] >> shift) & ((1 << BITS) - 1)
-            other[first[digit]] = order[k]
+            digit = (words[k] >> shift) & ((1 << BITS) - 1)
+            other[first[digit]] = words[k]
             first[digit] += 1
-        order, other = other, order
+        words, other = other, words
         shift += BITS
-    return order
+        most >>= BITS
+    for k in range(n):
+        words[k] &= 0xFFFFFFFF
+    return words
 
 
 @numba.njit(nogil=True)

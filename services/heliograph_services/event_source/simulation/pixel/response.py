@@ -19,9 +19,10 @@ ref + drift t + th_on and ref + drift t - th_off,
 It turns at most once, at exp(-x / tau) = m tau / a; on each side of that a crossing is found by Newton's method within
 a bracket; where m = 0 it is closed: after a step D the k-th event comes at tau ln(D / (D - k th)).
 
-An event leaves latency (+ latency_off_extra if OFF) + jitter z later, z normal; never before the crossing, never
-within 1 ns of the pixel's event before: jitter does not exchange the events of a pixel. Times leave in steps of 2^-14
-us (61 ps), which float64 holds exactly for days.
+An event leaves latency (+ latency_off_extra if OFF) + jitter z later, z normal; where that latency is below 3 jitter,
+it is taken as 3 jitter: no event leaves before its crossing, and jitter is still the delay's standard deviation. None
+leaves within 1 ns of the pixel's event before: jitter does not exchange the events of a pixel. Times leave in steps
+of 2^-14 us (61 ps), which float64 holds exactly for days.
 """
 
 from __future__ import annotations
@@ -64,6 +65,8 @@ RESERVE: Final = MOST + 24
 CAUSES: Final = 16.0
 PIXELS: Final = 4294967296.0
 TICKS: Final = 16384.0
+# A delay of a given deviation that is never negative has a mean: at least so many deviations.
+NORMAL: Final = 3.0
 APART_US: Final = 0.001
 # Past so many time constants nothing is left of a step (e^-40 is below float64's resolution of any u).
 SETTLED: Final = 40.0
@@ -92,12 +95,20 @@ def emit(state: Floats, law: Floats, seed: int, out: Floats, n: int, p: int, t_u
     """Write an event that crossed at t_us; return how many there are now."""
     delay = law[LATENCY] if on else law[LATENCY] + law[LATENCY_OFF]
     if law[JITTER] > 0.0:
-        delay = max(0.0, delay + law[JITTER] * normal(seed, FOR_JITTER, p, int(state[p, COUNT]), 0))
+        delay = max(
+            0.0, max(delay, NORMAL * law[JITTER]) + law[JITTER] * normal(seed, FOR_JITTER, p, int(state[p, COUNT]), 0)
+        )
     at = max(t_us + delay, state[p, SENT] + APART_US)
     at = math.ceil(at * TICKS) / TICKS
     state[p, SENT] = at
     state[p, COUNT] += 1.0
     return write(out, n, at, p, on, cause)
+
+
+@numba.njit(nogil=True)
+def fade(x: float) -> float:
+    """Return exp(-x), for x at least 0."""
+    return math.exp(-x) if x < SETTLED else 0.0
 
 
 @numba.njit(nogil=True)
@@ -112,12 +123,12 @@ def _solve(target: float, low: float, high: float, c: float, m: float, a: float,
     else:
         x = level / m if m != 0.0 else low
     # A step in a ramp: whichever of the two moves y more gives the first guess.
-    if m != 0.0 and abs(a) * math.exp(-low / tau) < abs(m) * (high - low):
+    if m != 0.0 and abs(a) * fade(low / tau) < abs(m) * (high - low):
         x = level / m
-    rising = m - a / tau * math.exp(-0.5 * (low + high) / tau) > 0.0
+    rising = m - a / tau * fade(0.5 * (low + high) / tau) > 0.0
     x = min(max(x, low), high)
     for _ in range(60):
-        e = a * math.exp(-x / tau)
+        e = a * fade(x / tau)
         f = m * x + e - level
         if (f > 0.0) == rising:
             high = x
@@ -135,16 +146,15 @@ def _solve(target: float, low: float, high: float, c: float, m: float, a: float,
 
 @numba.njit(nogil=True)
 def _piece(
-    state: Floats, law: Floats, seed: int, out: Floats, n: int, p: int, x: float, end: float, span: float,
+    state: Floats, law: Floats, seed: int, out: Floats, n: int, p: int, x: float, end: float, y_end: float, span: float,
     c: float, m: float, a: float, tau: float, cause: int,
 ) -> tuple[int, float]:  # fmt: skip
     """Make the events of a monotone piece [x, end]; return how many there are now, and when the pixel is alive."""
     refractory = law[REFRACTORY]
     t_a = state[p, T]
-    y_end = c + m * end + a * math.exp(-end / tau)
     for k in range(MOST):
         up = y_end >= state[p, REF] + state[p, ON]
-        if not (up or y_end <= state[p, REF] - state[p, OFF]) or x > end:
+        if x > end or not (up or y_end <= state[p, REF] - state[p, OFF]):
             break
         target = state[p, REF] + state[p, ON] if up else state[p, REF] - state[p, OFF]
         x = _solve(target, x, end, c, m, a, tau)
@@ -154,7 +164,7 @@ def _piece(
             state[p, DEAD] = t_a + x + refractory
             x = x + refractory
             alive = min(x, span)
-            state[p, REF] = c + m * alive + a * math.exp(-alive / tau)
+            state[p, REF] = c + m * alive + a * fade(alive / tau)
         elif k == MOST - 1:
             state[p, REF] = y_end
     return n, x
@@ -184,17 +194,16 @@ def _cross(
     if state[p, DEAD] > t_a:
         x = state[p, DEAD] - t_a
         alive = min(x, span)
-        state[p, REF] = c + m * alive + a * math.exp(-alive / tau)
-    turn = span
+        state[p, REF] = c + m * alive + a * fade(alive / tau)
+    y_end = c + m * span + a * decay
     if m * a > 0.0:
         part = m * tau / a
         if decay < part < 1.0:
             turn = -tau * math.log(part)
-    if x < turn:
-        n, x = _piece(state, law, seed, out, n, p, x, turn, span, c, m, a, tau, cause)
-    x = max(x, turn)
+            n, x = _piece(state, law, seed, out, n, p, x, turn, c + m * (turn + tau), span, c, m, a, tau, cause)
+            x = max(x, turn)
     if x < span:
-        n, x = _piece(state, law, seed, out, n, p, x, span, span, c, m, a, tau, cause)
+        n, x = _piece(state, law, seed, out, n, p, x, span, y_end, span, c, m, a, tau, cause)
     return n
 
 
@@ -229,7 +238,7 @@ def advance(
         tau = max(law[TAU_MIN], law[TAU_LIGHT] / math.sqrt(light * state[p, LIGHT]))
     slope = (u - u_a) / span
     a = v_a - u_a + slope * tau
-    decay = math.exp(-span / tau) if span < SETTLED * tau else 0.0
+    decay = fade(span / tau)
     top = max(v_a, u_a, u) + law[DRIFT] * t_us
     bottom = min(v_a, u_a, u) + law[DRIFT] * t_a
     ref = state[p, REF]

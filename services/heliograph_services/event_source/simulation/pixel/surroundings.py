@@ -11,12 +11,13 @@ In a still view even the comparison is made once for all time to a horizon; what
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numba
 import numpy as np
 
-from heliograph_services.event_source.simulation.contract import BACKGROUND, LEAK, Floats
+from heliograph_services.event_source.simulation.contract import BACKGROUND, LEAK, Floats, Ints
+from heliograph_services.event_source.simulation.pixel.borrow import borrowed
 from heliograph_services.event_source.simulation.pixel.model import (
     BASE,
     CLAIMED,
@@ -32,10 +33,11 @@ from heliograph_services.event_source.simulation.pixel.model import (
     Indices,
     Pixels,
     T,
+    Tables,
     U,
     V,
 )
-from heliograph_services.event_source.simulation.pixel.response import RESERVE, advance, grow
+from heliograph_services.event_source.simulation.pixel.response import RESERVE, advance, fade, grow
 
 HISTORY: Final = 8
 # Pixels that are compared at once, by vector instructions; only where one of them may act are they looked at singly.
@@ -45,7 +47,22 @@ MARGIN: Final = 1e-5
 # An ON event of a pixel whose input and output stand still is the leak's.
 STILL: Final = 1e-3
 
-Views = tuple[Floats32, ...]
+# Of a step, e^-20 is 2e-9: what lies further back than so many time constants does not matter.
+FORGOTTEN: Final = 20.0
+
+
+class Past(NamedTuple):
+    """The last HISTORY views.
+
+    Args:
+        times: (HISTORY,) us, the present interval's beginning last.
+        rows: (HISTORY,) int64, where each is in `views`.
+        views: (HISTORY + 1, pixels) float32.
+    """
+
+    times: Floats
+    rows: Ints
+    views: Tables
 
 
 @numba.njit(nogil=True)
@@ -80,11 +97,13 @@ def candidates(
     found = 0
     for start in range(0, n, BLOCK):
         end = min(start + BLOCK, n)
-        any_of_them = 0
-        for p in range(start, end):
+        any_of_them = np.int32(0)
+        a, b, over, under = view0[start:end], view1[start:end], high[start:end], low[start:end]
+        for p in range(end - start):
+            # All in int32, no branches: that is what becomes vector instructions.
             any_of_them |= (
-                (view0[p] + d1 >= high[p]) | (view1[p] + d1 >= high[p])
-                | (view0[p] + d0 <= low[p]) | (view1[p] + d0 <= low[p])
+                np.int32(a[p] + d1 >= over[p]) | np.int32(b[p] + d1 >= over[p])
+                | np.int32(a[p] + d0 <= under[p]) | np.int32(b[p] + d0 <= under[p])
             )  # fmt: skip
         if any_of_them:
             for p in range(start, end):
@@ -96,40 +115,42 @@ def candidates(
 
 
 @numba.njit(nogil=True)
-def catch_up(state: Floats, law: Floats, p: int, times: Floats, views: Views) -> None:
-    """Bring a sleeping pixel to times[-1]."""
+def catch_up(state: Floats, law: Floats, p: int, past: Past) -> None:
+    """Bring a sleeping pixel to the last time of the past."""
+    times, rows, views = past.times, past.rows, past.views
     last = len(times) - 1
-    if state[p, T] >= times[last]:
+    t, now = state[p, T], times[last]
+    if t >= now:
         return
     tau_light, tau_min = law[TAU_LIGHT], law[TAU_MIN]
-    first = 0
-    while first < last and times[first + 1] <= state[p, T]:
-        first += 1
+    u_b = np.float64(views[rows[last], p])
+    light = math.exp(u_b)
+    first, forgotten = last, FORGOTTEN * max(tau_min, tau_light / light)
+    while first > 0 and times[first] > t and now - times[first] < forgotten:
+        first -= 1
+    # Older than the past, or forgotten: in the steady state of the first ramp.
+    known = times[first] <= t
     v = state[p, V]
-    long_ago = state[p, T] < times[first]
+    u_a = np.float64(views[rows[first], p])
     for k in range(first, last):
-        span = times[k + 1] - max(times[k], state[p, T])
-        if span <= 0.0:
-            continue
-        u_a, u_b = np.float64(views[k][p]), np.float64(views[k + 1][p])
-        tau = max(tau_min, tau_light * math.exp(-0.5 * (u_a + u_b)))
-        lag = (u_b - u_a) / (times[k + 1] - times[k]) * tau
-        if long_ago:
-            v = u_a - lag
-            long_ago = False
-        v = u_b - lag + (v - u_a + lag) * (math.exp(-span / tau) if span < 40.0 * tau else 0.0)
+        u_b = np.float64(views[rows[k + 1], p])
+        span = times[k + 1] - max(times[k], t)
+        if span > 0.0:
+            tau = max(tau_min, tau_light * math.exp(-0.5 * (u_a + u_b)))
+            lag = (u_b - u_a) / (times[k + 1] - times[k]) * tau
+            if not known:
+                v, known = u_a - lag, True
+            v = u_b - lag + (v - u_a + lag) * fade(span / tau)
+        u_a = u_b
     # It slept: so it lay between its thresholds, whatever the steady state of a ramp would be.
-    ref = state[p, REF] - law[DRIFT] * times[last]
+    ref = state[p, REF] - law[DRIFT] * now
     state[p, V] = min(max(v, ref - state[p, OFF]), ref + state[p, ON])
-    state[p, U] = views[last][p]
-    state[p, LIGHT] = math.exp(state[p, U])
-    state[p, T] = times[last]
+    state[p, U], state[p, LIGHT], state[p, T] = u_b, light, now
 
 
 @numba.njit(nogil=True)
 def look(
-    px: Pixels, out: Floats, n: int, found: Indices, count: int, t1_us: float, view1: Floats32, times: Floats,
-    views: Views,
+    px: Pixels, out: Floats, n: int, found: Indices, count: int, t1_us: float, view1: Floats32, past: Past
 ) -> tuple[Floats, int]:  # fmt: skip
     """Take the pixels found[:count] to t1_us by the exact law.
 
@@ -141,24 +162,25 @@ def look(
         count: so many.
         t1_us: the interval's end.
         view1: (pixels,) the view there.
-        times: (HISTORY,) when the last views were, the interval's beginning last.
-        views: HISTORY views (pixels,).
+        past: the views before.
 
     Returns:
         The events, perhaps elsewhere, and how many there are.
     """
     state, law, low, high, seed = px.state, px.law, px.low, px.high, px.seed
+    events = borrowed(out)
     for k in range(count):
         p = found[k]
         if state[p, CLAIMED] > 0.0 or state[p, T] >= t1_us:
             continue
-        if n + RESERVE > len(out):
+        if n + RESERVE > len(events):
             out = grow(out)
-        catch_up(state, law, p, times, views)
+            events = borrowed(out)
+        catch_up(state, law, p, past)
         u = np.float64(view1[p])
         still = u == state[p, U]
         cause = LEAK if still and abs(state[p, V] - u) < STILL else BACKGROUND
         light = state[p, LIGHT] if still else math.exp(u)
-        n = advance(state, law, seed, out, n, p, t1_us, u, light, cause)
+        n = advance(state, law, seed, events, n, p, t1_us, u, light, cause)
         set_bounds(state, law, low, high, p)
     return out, n
