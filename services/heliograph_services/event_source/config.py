@@ -32,8 +32,26 @@ class EventSourceConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     loop: Annotated[bool, Meta(description="play the recording again and again; time goes on")] = False
 
     # simulated
-    scenario: Annotated[str, Meta(description="built-in scene (five, still, empty) or a scenario file")] = "five"
+    scenario: Annotated[str, Meta(description="built-in scenario, or a scenario file")] = "construction_site"
     seed: Annotated[int, Meta(ge=0, le=2**32 - 1, description="seed of the simulation")] = 0
+    # Half the resolution and twice the steps of the surroundings cost a third, so that a scene runs beside its readers.
+    fidelity: Annotated[
+        Literal["full", "live"], Meta(description="how finely the surroundings are rendered; lights are always full")
+    ] = "full"
+
+    # images (a file of them); what a file must hold: cameras/image_file.py
+    # ESIM's and v2e's usual threshold, of ln(grey); for the linear scale in levels of grey, where 10 is that of the
+    # gazebo_dvs_plugin.
+    image_scale: Annotated[Literal["log", "linear"], Meta(description="what images are compared in")] = "log"
+    image_threshold: Annotated[
+        float, Meta(ge=0.01, le=255.0, description="change of a pixel that makes an event, in units of image_scale")
+    ] = 0.2
+    image_max_events: Annotated[int, Meta(ge=1, le=1000, description="events a pixel and image, at most")] = 10
+
+    # A picture of 640x480 is about 200 kB: two a second are more than the onsets of a whole scene.
+    image_hz: Annotated[
+        float, Meta(ge=0.0, le=100.0, description="views published a second, by a camera that has them; 0: none")
+    ] = 0.0
 
     duration_s: Annotated[
         float, Meta(ge=0.0, le=1e6, description="stop after this time of the camera; 0: no limit")

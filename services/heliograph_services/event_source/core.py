@@ -2,8 +2,8 @@
 
 For each window [t0, t1), in this order: its events, cut at `max_events` (only the last part has the window's end as
 its watermark; the watermark of the others is the time of the next part's first event); once in onsets_us the onsets of
-the ticks that became complete, both anchored at their multiples on the camera's clock; the truth, where the camera
-knows it. A window without events still yields its empty records: a lone beacon never waits for noise to push it on.
+the ticks that became complete, both anchored at their multiples on the camera's clock; the truth and a view, where the
+camera has them. A window without events still yields its empty records: a lone beacon never waits for noise.
 """
 
 from __future__ import annotations
@@ -84,6 +84,8 @@ class SourceCore:
             messages.append(onsets)
         if window.truth is not None:
             messages.append(window.truth)
+        if window.image is not None:
+            messages.append(window.image)
         self._read_gauges()
         return messages
 

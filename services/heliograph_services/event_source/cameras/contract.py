@@ -6,10 +6,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Protocol
 
+import numpy as np
+import numpy.typing as npt
+
 from heliograph.camera import Intrinsics
 from heliograph.errors import Refusals
 from heliograph.events import EventBatch
 from heliograph.messages import Message
+from heliograph.streams import Image
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,6 +26,8 @@ class Window:
         batch: its events: sorted, on the sensor; none is missing and none comes later.
         stream: the run that it belongs to; when it changes, time starts anew, else t0_us is the last window's t1_us.
         truth: what was really there, from a camera that knows it (a `heliograph.truth.Truth`).
+        labels: (n,) int16, what made each event, from a camera that knows it; for files alone, never sent.
+        image: a view of the scene, from a camera that has one, where one is due.
         refused: input refused since the window before, by reason.
         end: nothing follows.
     """
@@ -31,6 +37,8 @@ class Window:
     batch: EventBatch
     stream: str
     truth: Message | None = None
+    labels: npt.NDArray[np.int16] | None = None
+    image: Image | None = None
     refused: Refusals = field(default_factory=Refusals)
     end: bool = False
 
