@@ -184,3 +184,10 @@ def test_without_matplotlib_the_option_says_what_to_install(monkeypatch: pytest.
     monkeypatch.setattr(plot, "find_spec", lambda name: None)
     with pytest.raises(ConfigError, match=r"pip install 'heliograph\[analysis\]'"):
         Picture(tmp_path / "s.png", run, world)
+
+
+def test_a_picture_without_a_folder_is_told_before_the_run(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    run, world = scene()
+    with pytest.raises(FileError, match=r"none/s\.png: No such file"):
+        Picture(tmp_path / "none" / "s.png", run, world)

@@ -66,11 +66,14 @@ class Picture:
 
     Raises:
         ConfigError: matplotlib is not installed.
+        FileError: there is no such folder.
     """
 
     def __init__(self, path: Path, run: Run, world: _World) -> None:
         if find_spec("matplotlib") is None:
             raise ConfigError("--plot needs matplotlib; install it with: pip install 'heliograph[analysis]'")
+        if not path.parent.is_dir():  # told now, not after an hour of simulation
+            raise FileError(f"{path}: No such file or directory")
         self._path = path
         self._run = run
         self._world = world
