@@ -13,7 +13,7 @@ def warm() -> None:
     texels, bases = texture.Texture((np.ones((4, 4), np.float32),), 1.0).packed(1.0, 0.1)
     texture.warm()
     half, full = np.zeros((2, 2), np.float32), np.zeros((4, 4), np.float32)
-    warp.render_ground(texels, bases, 2, 1.0, np.eye(3), 0.0, 0.0, full)
+    warp.render_ground(texels, bases, 2, 1.0, np.eye(3), 1.0, 0.0, 0.0, full)
     lines = np.zeros((4, 3))
     warp.draw_quad(lines, 0.0, full)
     warp.cover_quad(lines, full)

@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliograph.events import EventBatch
+from heliograph.streams import Image
 from heliograph.units import US_PER_S
 from heliograph_services.event_source.cameras.changes import Counts, Grey, ImageChanges, events_of
 from heliograph_services.event_source.simulation.contract import (
@@ -145,6 +146,11 @@ def pictures(
             yield round(picture.t_us), picture.grey
         if taker.next_us >= duration_us:
             return
+
+
+def view_image(picture: Picture, camera: str, stream: str) -> Image:
+    """Return a picture as the record that goes out on the bus."""
+    return Image(camera=camera, stream=stream, t_us=round(picture.t_us), grey=picture.grey)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -62,7 +62,7 @@ def plan(t0_us: int, way_px: Floats, step_px: float, flicker_us: int) -> Plan:
         flicker_us: the longest time between two ends; LONGEST_US or more where nothing flickers.
     """
     gone = np.concatenate([np.zeros(1), np.cumsum(way_px)])
-    step = gone[-1] / max(1, math.ceil(gone[-1] / step_px))
+    step = gone[-1] / max(1, math.ceil(gone[-1] / step_px - 1e-6))
     # Where nothing moves for a while the way is no function of time: a trillionth of a pixel a step makes it one.
     rising = gone + np.arange(len(gone)) * 1e-12
     grid_us = np.arange(len(gone)) * float(SHORTEST_US)

@@ -6,7 +6,7 @@ mean 0 and standard deviation 1, and the reflectance is::
     rho = c exp(z ln(contrast) / 2),  |z| <= 3,  c such that the mean of rho is the reflectance asked for, rho <= 1
 
 so that one standard deviation up and down are apart by the ratio `contrast`. Noise is value noise, the sum of octaves
-``a_k n_k``: n_k has 20 2^k cells a tile (the coarsest: one a grain), a number at each corner, smooth between.
+``a_k n_k``: n_k has 16 2^k cells a tile (the coarsest: one a grain), a number at each corner, smooth between.
 
     asphalt   a_k = 1.25^k: grain down to the texel, most of it fine
     site      soil (a_k = .75^k), beds of gravel (fine noise within patches), planks, two ruts of a wheeled machine
@@ -34,13 +34,13 @@ Image = npt.NDArray[np.float32]
 
 BITS: Final = 11
 SIZE: Final = 1 << BITS
-# A texel of 1 cm at grains of 1 m, about a pixel of the 3.6 mm lens 5 m above the ground; and at 28 m a view of 45 m
-# shows the tile twice, not ten times.
-TILE_GRAINS: Final = 20.48
-_CELLS: Final = 20
-_OCTAVES: Final = 7  # 20 2^6 = 1280 cells: the finest has 1.6 texels a cell
-# Down to 4 x 4 texels: coarser ones differ by less than a hundredth of the contrast.
-_LEVELS: Final = BITS - 1
+# At grains of 1 m a texel of 8 mm: two thirds of a pixel of the 3.6 mm lens 5 m above the ground. At 5, 10, 20 and 28 m
+# one level alone then suits a pixel, which is read twice as fast as two. A view of 45 m at 28 m shows three tiles.
+TILE_GRAINS: Final = 16.0
+_CELLS: Final = 16
+_OCTAVES: Final = 7  # 16 2^6 = 1024 cells: the finest has 2 texels a cell
+# Down to 2 x 2 texels, which differ by a hundredth; beyond, near the horizon, these are read.
+_LEVELS: Final = BITS
 _CLIP: Final = 3.0
 _PLANKS: Final = 40
 

@@ -19,12 +19,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Final, Literal
 
 import numpy as np
 
 from heliograph.events import Flags
-from heliograph_services.event_source.simulation.contract import CHUNK_US, Floats, View
+from heliograph_services.event_source.simulation.contract import CHUNK_US, Floats, Ints, View
 from heliograph_services.event_source.simulation.ground.motion import (
     LONGEST_US,
     SHORTEST_US,
@@ -36,7 +37,7 @@ from heliograph_services.event_source.simulation.ground.motion import (
 from heliograph_services.event_source.simulation.ground.texture import make_texture
 from heliograph_services.event_source.simulation.ground.warp import cover_quad, double, draw_quad, render_ground
 from heliograph_services.event_source.simulation.world.projection import Projection
-from heliograph_services.event_source.simulation.world.spec import Mains
+from heliograph_services.event_source.simulation.world.spec import Ground, Mains
 from heliograph_services.event_source.simulation.world.world import World
 
 Fidelity = Literal["full", "live"]
@@ -72,11 +73,13 @@ class _Shot:
         key: of the scene.
         view: u, (height, width) float32, without lamps; where there are lamps, at the resolution that is rendered.
         lit: s of each group of lamps, likewise.
+        reach: first row, last row + 1, first column, last column + 1 of what lamps reach.
     """
 
     key: bytes
     view: View
     lit: tuple[View, ...]
+    reach: tuple[int, int, int, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,10 +118,8 @@ class GroundBackground:
         period_us = 1e6 / (_VIEWS_A_PERIOD * fastest_hz) if fastest_hz else math.inf
         self._flicker_us = round(max(SHORTEST_US, min(_FLICKER_US, period_us))) if fastest_hz else LONGEST_US
         self._plain = scenario.ground.texture == "plain" and not scenario.mains
-        texture = make_texture(scenario.ground, seed)
         gain = world.optics.background_w_m2(1.0, scenario.irradiance_w_m2)
-        self._texels, self._bases = texture.packed(gain, dark_w_m2)
-        self._bits, self._tile_m = texture.bits, texture.tile_m
+        self._texels, self._bases, self._bits, self._tile_m = _packed(scenario.ground, seed, gain, dark_w_m2)
         self._gain = gain
         self._far = math.log(gain * scenario.ground.reflectance + dark_w_m2)
         self._sky = math.log(gain + dark_w_m2)
@@ -126,6 +127,7 @@ class GroundBackground:
         self._plans: dict[int, Plan] = {}
         self._shots: dict[int, _Shot] = {}
         self._views: dict[int, View] = {}
+        self._loose: tuple[_Shot, ...] = ()  # the last that `at` was asked for
 
     def next_us(self, t_us: int) -> int:
         """Return the end of the interval that begins at t_us (`contract.Background`)."""
@@ -138,14 +140,18 @@ class GroundBackground:
         found = self._views.get(t_us)
         if found is None:
             before, after = self._plan(t_us // CHUNK_US * CHUNK_US).keys_about(t_us)
-            share = (t_us - before) / (after - before) if after > before else 0.0
-            found = self._lit(self._shot(before), self._shot(after), share, float(t_us))
+            shots = self._shot(before), self._shot(after)
+            share = (t_us - before) / (after - before) if shots[0] is not shots[1] else 0.0
+            found = self._lit(*shots, share, float(t_us))
             _keep(self._views, t_us, found)
         return found
 
     def at(self, t_us: float) -> View:
         """Return the view of any time, rendered for it, wherever intervals end."""
-        shot = self._rendered(self._scene(t_us))
+        scene = self._scene(t_us)
+        known = [*self._shots.values(), *self._loose]
+        shot = next((shot for shot in known if shot.key == scene.key), None) or self._rendered(scene)
+        self._loose = (shot,)
         return self._lit(shot, shot, 0.0, t_us) if self._lamps else shot.view
 
     def _plan(self, t0_us: int) -> Plan:
@@ -181,12 +187,14 @@ class GroundBackground:
         grid = self._grid
         view = np.empty((grid.rows, grid.columns), np.float32)
         ground = grid.to_ground(scene.position, scene.rotation)
-        render_ground(self._texels, self._bases, self._bits, self._tile_m, ground, self._far, self._sky, view)
+        render_ground(
+            self._texels, self._bases, self._bits, self._tile_m, ground, grid.pixel, self._far, self._sky, view
+        )  # fmt: skip
         seen, lines = grid.lines((scene.corners - scene.position) @ scene.rotation.T)
         for k in np.flatnonzero(seen):
             draw_quad(lines[k], math.log(self._gain * scene.reflectance[k] + self._dark_w_m2), view)
         lit = tuple(self._covered(lamps, scene, view) for lamps in self._lamps)
-        return _Shot(scene.key, view if lit else grid.finished(view), lit)
+        return _Shot(scene.key, view if lit else grid.finished(view), lit, _reach(lit))
 
     def _covered(self, lamps: _Lamps, scene: _Scene, view: View) -> View:
         """Return s of a group of lamps."""
@@ -203,17 +211,40 @@ class GroundBackground:
 
     def _lit(self, before: _Shot, after: _Shot, share: float, t_us: float) -> View:
         """Return the view at a time between two shots, its lamps on."""
-        view = _mixed(before.view, after.view, share)
-        light = np.ones_like(view)
+        mixed = _mixed(before.view, after.view, share)
+        view = mixed.copy() if mixed is before.view else mixed
+        box = _box(before.reach, after.reach)
+        light = np.ones_like(view[box])
         for k, lamps in enumerate(self._lamps):
-            light += np.float32(lamps.added(t_us)) * _mixed(before.lit[k], after.lit[k], share)
-        return self._grid.finished(view + np.log(light))
+            light += np.float32(lamps.added(t_us)) * _mixed(before.lit[k][box], after.lit[k][box], share)
+        view[box] += np.log(light)
+        return self._grid.finished(view)
 
 
 def _mixed(before: View, after: View, share: float) -> View:
-    if before is after or share == 0.0:
+    if share == 0.0:
         return before
     return before + np.float32(share) * (after - before)
+
+
+def _reach(lit: tuple[View, ...]) -> tuple[int, int, int, int]:
+    """Return the rows and columns outside which no lamp adds anything."""
+    if not lit:
+        return 0, 0, 0, 0
+    some = np.any([image > 0.0 for image in lit], axis=0)
+    rows, columns = np.flatnonzero(some.any(axis=1)), np.flatnonzero(some.any(axis=0))
+    if not len(rows):
+        return 0, 0, 0, 0
+    return int(rows[0]), int(rows[-1]) + 1, int(columns[0]), int(columns[-1]) + 1
+
+
+def _box(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> tuple[slice, slice]:
+    """Return the rows and columns that two reaches have between them."""
+    used = [reach for reach in (a, b) if reach[1] > reach[0]] or [a]
+    return (
+        slice(min(r[0] for r in used), max(r[1] for r in used)),
+        slice(min(r[2] for r in used), max(r[3] for r in used)),
+    )
 
 
 class _Grid:
@@ -224,6 +255,8 @@ class _Grid:
         self.columns = -(-projection.width // 2) if half else projection.width
         self._shape = (projection.height, projection.width)
         self._half = half
+        # A pixel that is left out does not make its neighbour blunter: events are as many as in full views, or nearly.
+        self.pixel = 0.5 if half else 1.0
         # From a pixel of the grid to the sensor's, and to a ray.
         spread = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5], [0.0, 0.0, 1.0]]) if half else np.eye(3)
         self._to_ray = np.linalg.inv(projection.matrix()) @ spread
@@ -261,6 +294,13 @@ class _Grid:
         out = np.empty(self._shape, np.float32)
         double(view, out)
         return out
+
+
+@lru_cache(maxsize=1)
+def _packed(ground: Ground, seed: int, gain: float, dark: float) -> tuple[View, Ints, int, float]:
+    """Return texels, bases, bits and tile_m of `warp.render_ground`; a scene and its pictures share them."""
+    texture = make_texture(ground, seed)
+    return *texture.packed(gain, dark), texture.bits, texture.tile_m
 
 
 def _grouped(lamps: tuple[Mains, ...], irradiance_w_m2: float) -> tuple[_Lamps, ...]:

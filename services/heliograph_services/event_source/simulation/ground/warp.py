@@ -48,8 +48,9 @@ def _read(texels: Any, base: int, bits: int, u: Any, v: Any, out: Any) -> None:
     below = np.uint32((np.uint32(1) << shift) - np.uint32(1))
     unit = np.float32(1.0 / (1 << (32 - bits)))
     stride = (1 << bits) + 1
-    u0, u1, u2 = u
-    v0, v1, v2 = v
+    half = np.uint32(np.uint32(1) << (shift - np.uint32(1)))  # a texel's value is that of its middle
+    u0, u1, u2 = np.uint32(u[0] - half), u[1], u[2]
+    v0, v1, v2 = np.uint32(v[0] - half), v[1], v[2]
     for k in range(len(out)):
         i = np.uint32(k)
         uk, vk = np.uint32(u0 + i * (u1 + i * u2)), np.uint32(v0 + i * (v1 + i * v2))
@@ -69,8 +70,9 @@ def _blend(texels: Any, base: int, bits: int, u: Any, v: Any, share: Any, out: A
     below = np.uint32((np.uint32(1) << shift) - np.uint32(1))
     unit = np.float32(1.0 / (1 << (32 - bits)))
     stride = (1 << bits) + 1
-    u0, u1, u2 = u
-    v0, v1, v2 = v
+    half = np.uint32(np.uint32(1) << (shift - np.uint32(1)))  # a texel's value is that of its middle
+    u0, u1, u2 = np.uint32(u[0] - half), u[1], u[2]
+    v0, v1, v2 = np.uint32(v[0] - half), v[1], v[2]
     for k in range(len(out)):
         i = np.uint32(k)
         uk, vk = np.uint32(u0 + i * (u1 + i * u2)), np.uint32(v0 + i * (v1 + i * v2))
@@ -99,7 +101,9 @@ def _level(m: Any, gx: float, gy: float, w: float, texel_m: float, levels: int) 
 
 
 @numba.njit(cache=True, nogil=True)
-def _row(texels: Any, bases: Any, bits: int, tile_m: float, m: Any, y: float, x0: int, x1: int, out: Any) -> None:
+def _row(
+    texels: Any, bases: Any, bits: int, tile_m: float, m: Any, pixel: float, y: float, x0: int, x1: int, out: Any
+) -> None:
     """Fill out[x0:x1], all of it ground, w > 0."""
     levels = len(bases)
     texel_m = tile_m / (1 << bits)
@@ -119,7 +123,7 @@ def _row(texels: Any, bases: Any, bits: int, tile_m: float, m: Any, y: float, x0
             n = 1
         u1, v1, w1 = _ground(m, x + n, y)
         um, vm, wm = _ground(m, x + 0.5 * n, y)
-        level, share = _level(m, um, vm, wm, texel_m, levels)
+        level, share = _level(m, um, vm, wm, texel_m / pixel, levels)
         pu, pv = _parabola(u, um, u1, n, scale), _parabola(v, vm, v1, n, scale)
         _read(texels, bases[level], bits - level, pu, pv, out[x : x + n])
         if share > 0.0:
@@ -162,7 +166,9 @@ def _beyond(a: float, c: float, least: float, width: int) -> tuple[int, int]:
 
 
 @numba.njit(cache=True, nogil=True)
-def render_ground(texels: Any, bases: Any, bits: int, tile_m: float, m: Any, far: float, sky: float, out: Any) -> None:
+def render_ground(
+    texels: Any, bases: Any, bits: int, tile_m: float, m: Any, pixel: float, far: float, sky: float, out: Any
+) -> None:
     """Render ground and sky.
 
     Args:
@@ -171,6 +177,7 @@ def render_ground(texels: Any, bases: Any, bits: int, tile_m: float, m: Any, far
         bits: level 0 has 2^bits texels a side.
         tile_m: what they cover.
         m: (3, 3) float64, pixel to ground; see the module.
+        pixel: side of what a pixel averages, in pixels of m: less than 1 where not all pixels are rendered.
         far: value of the ground at the horizon.
         sky: value above it.
         out: (height, width) float32, ln(irradiance + dark).
@@ -180,14 +187,14 @@ def render_ground(texels: Any, bases: Any, bits: int, tile_m: float, m: Any, far
     for y in range(height):
         if slope == 0.0:
             if m[2, 2] > 0.0:
-                _row(texels, bases, bits, tile_m, m, y, 0, width, out[y])
+                _row(texels, bases, bits, tile_m, m, pixel, y, 0, width, out[y])
             else:
                 out[y, :] = np.float32(sky)
             continue
         a, c = m[2, 0] / slope, (m[2, 1] * y + m[2, 2]) / slope  # a x + c: pixels below the horizon
         x0, x1 = _beyond(a, c, _FAR_PX, width)
         if x0 < x1:
-            _row(texels, bases, bits, tile_m, m, y, x0, x1, out[y])
+            _row(texels, bases, bits, tile_m, m, pixel, y, x0, x1, out[y])
         # What the horizon's blur reaches, but for what lies clear of it.
         e0, e1 = _beyond(a, c, -0.5 * EDGE_PX, width)
         g0, g1 = _beyond(a, c, 0.5 * EDGE_PX, width)
@@ -269,15 +276,17 @@ def double(half: Any, out: Any) -> None:
     """Interpolate an image up to twice its size (or a row and column less): bilinear, edges held."""
     height, width = out.shape
     rows, columns = half.shape
-    line = np.empty(columns, np.float32)
+    line = np.empty(columns + 2, np.float32)
     near, other = np.float32(0.75), np.float32(0.25)
     for y in range(height):
         j = y >> 1
         k = min(max(j + (1 if y & 1 else -1), 0), rows - 1)
         for i in range(columns):
-            line[i] = near * half[j, i] + other * half[k, i]
-        for i in range((width + 1) // 2):
-            x = 2 * i
-            out[y, x] = near * line[i] + other * line[max(i - 1, 0)]
-            if x + 1 < width:
-                out[y, x + 1] = near * line[i] + other * line[min(i + 1, columns - 1)]
+            line[i + 1] = near * half[j, i] + other * half[k, i]
+        line[0], line[columns + 1] = line[1], line[columns]
+        row = out[y]
+        for i in range(width // 2):
+            row[2 * i] = near * line[i + 1] + other * line[i]
+            row[2 * i + 1] = near * line[i + 1] + other * line[i + 2]
+        if width & 1:
+            row[width - 1] = near * line[columns] + other * line[columns - 1]
