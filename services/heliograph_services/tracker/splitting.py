@@ -14,12 +14,31 @@ import numpy as np
 import numpy.typing as npt
 
 from heliograph_services.tracker.clustering import Active, Ints
+from heliograph_services.tracker.jit import kernel
 from heliograph_services.tracker.shape import Targets
 
 Floats = npt.NDArray[np.float64]
 
 # One beacon's swept disc is up to 1.4 times its size; two that touch are 2.
 MERGED: Final = 1.5
+
+
+@kernel
+def _shared(x_px: Floats, y_px: Floats, reach_px: Floats, at_x_px: Floats, at_y_px: Floats) -> npt.NDArray[np.bool_]:
+    """Return (k,) bool: the targets that reach to more than one of the centres."""
+    out = np.zeros(len(x_px), np.bool_)
+    for c in range(len(x_px)):
+        reach2 = reach_px[c] * reach_px[c]
+        inside = 0
+        for i in range(len(at_x_px)):
+            dx = x_px[c] - at_x_px[i]
+            dy = y_px[c] - at_y_px[i]
+            if dx * dx + dy * dy <= reach2:
+                inside += 1
+                if inside > 1:
+                    out[c] = True
+                    break
+    return out
 
 
 def split(
@@ -39,13 +58,13 @@ def split(
     pieces: list[int] = []
     if count == 0 or len(centres_px) < 2:
         return None
-    dx = targets.x_px[:, None] - centres_px[None, :, 0]
-    dy = targets.y_px[:, None] - centres_px[None, :, 1]
-    inside = dx * dx + dy * dy <= (targets.reach_px**2)[:, None]
-    several = np.flatnonzero(inside.sum(axis=1) > 1)
+    places = (targets.x_px, targets.y_px, targets.reach_px, centres_px[:, 0], centres_px[:, 1])
+    # One layout of arrays, one compilation.
+    several = np.flatnonzero(_shared(*(np.ascontiguousarray(each) for each in places)))
     out = labels
     for c in several:
-        tracks = np.flatnonzero(inside[c])
+        dx, dy = targets.x_px[c] - centres_px[:, 0], targets.y_px[c] - centres_px[:, 1]
+        tracks = np.flatnonzero(dx * dx + dy * dy <= targets.reach_px[c] ** 2)
         if targets.pixels[c] * pool_px**2 < MERGED * size_px[tracks].max():
             continue
         if out is labels:
