@@ -36,7 +36,8 @@ class TrackerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     ] = 100_000
 
     # -- backends --
-    # The fast ones; the others are the paper's kind of stack, give the same tracks, and cost 40 times as much or more.
+    # Ours; the others are other people's libraries, give the same tracks, and take 30 to 1800 times as long
+    # (bench/results/backends.txt).
     clustering: Annotated[
         Clustering, Meta(description="who clusters: grid, or scikit-learn (needs heliograph[reference])")
     ] = "grid"
