@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from heliograph_services.event_source.simulation.contract import (
     CHUNK_US,
@@ -108,6 +108,6 @@ def moving(pixels_view: View, change: Callable[[int], View]) -> Callable[[int], 
 def shares(x: float, y: float, sigma: float, width: int = 48, height: int = 48) -> npt.NDArray[np.float64]:
     """Return (height, width), the image's share of each pixel, by scipy's normal distribution."""
     i, j = np.arange(width), np.arange(height)
-    wx = norm.cdf(i + 0.5, x, sigma) - norm.cdf(i - 0.5, x, sigma)
-    wy = norm.cdf(j + 0.5, y, sigma) - norm.cdf(j - 0.5, y, sigma)
+    wx = ndtr((i + 0.5 - x) / sigma) - ndtr((i - 0.5 - x) / sigma)
+    wy = ndtr((j + 0.5 - y) / sigma) - ndtr((j - 0.5 - y) / sigma)
     return np.asarray(np.outer(wy, wx), np.float64)

@@ -26,6 +26,7 @@ from heliograph_services.event_source.simulation.pixel.model import (
     BASE,
     COUNT,
     DEAD,
+    DRIFT,
     NEVER,
     OFF,
     ON,
@@ -141,6 +142,7 @@ class PixelArray:
 
     def _begin(self, t0_us: int) -> None:
         self._px.state[:, T] = t0_us
+        self._px.state[:, REF] += self._px.law[DRIFT] * t0_us
         self._past.times[:] = t0_us
         self._block = t0_us // BLOCK_US
         # No base yet: the first interval computes all bounds.
@@ -179,6 +181,7 @@ class PixelArray:
             return
         # A glance at the lights as they are, of 1 ns; what the pixels do in it is undone.
         arrays, levels = self._arrays, self._lights.place[:, LEVEL].copy()
+        self._lights.place[:, LEVEL] = 0.0
         self._arrays = arrays._replace(
             edge_first=np.arange(count + 1), edge_us=np.full(count, t0_us), edge_level=levels
         )  # fmt: skip

@@ -31,6 +31,7 @@ from heliograph_services.event_source.simulation.pixel.model import (
     Floats32,
     Indices,
     Pixels,
+    T,
     U,
     V,
 )
@@ -48,6 +49,7 @@ from heliograph_services.event_source.simulation.pixel.spots import (
     Y,
     arrange,
     at_node,
+    step_us,
 )
 from heliograph_services.event_source.simulation.pixel.surroundings import Past, catch_up, set_bounds
 
@@ -73,6 +75,19 @@ def _sky(state: Floats, p: int, view: float) -> float:
     if view != state[p, VIEW]:
         state[p, VIEW], state[p, SKY] = view, math.exp(view)
     return float(state[p, SKY])
+
+
+@numba.njit(nogil=True)
+def _wait(
+    state: Floats, law: Floats, seed: int, out: Floats, n: int, p: int, t_us: float, view: float, still: bool
+) -> int:
+    """Take a pixel to t_us under the light that it has."""
+    u, light = state[p, U], state[p, LIGHT]
+    if not still:
+        lit = state[p, EXTRA]
+        light = _sky(state, p, view) + lit
+        u = math.log(light) if lit > 0.0 else view
+    return advance(state, law, seed, out, n, p, t_us, u, light, int(state[p, OWNER]))
 
 
 @numba.njit(nogil=True)
@@ -126,7 +141,7 @@ def _both(old: Indices, new: Indices) -> tuple[int, int, int, int]:
 @numba.njit(nogil=True)
 def _change(
     px: Pixels, lights: Lights, out: Floats, n: int, i: int, t_us: float, moved: bool, least: float,
-    now: tuple[float, float], line: tuple[Floats32, Floats32, float], past: Past,
+    now: tuple[float, float], line: tuple[Floats32, Floats32, float], since: tuple[float, float], past: Past,
     mine: Indices, n_mine: int, width: int,
 ) -> tuple[Floats, int, int]:  # fmt: skip
     """Bring light i to all pixels of its old and new box; now: its light at the new place before and after t_us."""
@@ -149,11 +164,14 @@ def _change(
             p = row * width + column
             if state[p, CLAIMED] == 0.0:
                 n_mine = _claim(px, p, past, mine, n_mine)
-            if n + RESERVE > len(events):
+            if n + 2 * RESERVE > len(events):
                 out = grow(out)
                 events = borrowed(out)
             view = np.float64(view0[p])
             still = view0[p] == view1[p]
+            if before * w > 0.0 and was * w_old == 0.0 and state[p, T] < since[0]:
+                # It enters the image: until this step began, nothing of it was here.
+                n = _wait(state, law, seed, events, n, p, since[0], view + (view1[p] - view) * since[1], still)
             if not still:
                 view += (view1[p] - view) * share
             n = _touch(state, law, seed, events, n, p, i, t_us, view, still, was * w_old, before * w, after * w)
@@ -216,9 +234,11 @@ def play(
         if moved:
             least = arrange(lights, x, y, sigma, flux, view0, width, height)
         line = (view0, view1, (t_us - t0_us) / (t1_us - t0_us))
+        begun = max(t_us - step_us(chunk, i, t), t0_us)
+        since = (begun, (begun - t0_us) / (t1_us - t0_us))
         now = (level * flux, after * flux)
         out, n, n_mine = _change(
-            px, lights, out, n, i, t_us, moved, least, now, line, past, mine, n_mine, width
+            px, lights, out, n, i, t_us, moved, least, now, line, since, past, mine, n_mine, width
         )  # fmt: skip
         place[NOW] = after * flux
         if moved:

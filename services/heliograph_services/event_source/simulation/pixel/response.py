@@ -231,6 +231,7 @@ def advance(
     t_a, v_a, u_a = state[p, T], state[p, V], state[p, U]
     span = t_us - t_a
     if span <= 0.0:
+        state[p, U], state[p, LIGHT] = u, light
         return n
     if light == state[p, LIGHT]:
         tau = max(law[TAU_MIN], law[TAU_LIGHT] / light)

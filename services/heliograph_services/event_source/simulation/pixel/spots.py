@@ -170,6 +170,13 @@ def _steps(chunk: Chunk, i: int, k: int) -> int:
 
 
 @numba.njit(nogil=True)
+def step_us(chunk: Chunk, i: int, t: float) -> float:
+    """Return how long the step is that ends at t (us since the chunk began); 0 if nothing moves."""
+    count = _steps(chunk, i, min(max(math.ceil(t / NODE_US) - 1, 0), NODES - 1))
+    return NODE_US / count if count > 0 else 0.0
+
+
+@numba.njit(nogil=True)
 def _walk(chunk: Chunk, i: int, a: float, b: float, to_end: bool, when: Floats, what: Floats, n: int) -> int:
     """Write the steps of a lit light in (a, b) (us since the chunk began), one at b too if asked; return the count."""
     for k in range(int(a / NODE_US), min(math.ceil(b / NODE_US), NODES)):
