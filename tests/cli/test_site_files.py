@@ -13,7 +13,7 @@ from heliograph.shell.links import client_config, router_config
 from heliograph.shell.site import load_site
 from heliograph_services.cli.demo import site_text
 from heliograph_services.cli.services import config_type
-from heliograph_services.event_source.simulation.scenario import load_scenario
+from heliograph_services.event_source.simulation.world.load import load_scenario, site_beacons
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 SITES = ("laptop", "onboard", "ground")
@@ -32,7 +32,7 @@ def test_a_shipped_site_has_valid_settings_and_links_that_zenoh_accepts(name: st
 @pytest.mark.parametrize("name", SITES)
 def test_a_shipped_site_lists_the_beacons_of_the_scene(name: str) -> None:
     site = load_site(DEPLOY / "sites" / f"{name}.toml")
-    assert list(site.beacon) == [spec.beacon for spec in load_scenario("five").beacons]
+    assert list(site.beacon) == site_beacons(load_scenario("five"))
 
 
 def test_drone_and_ground_are_two_halves_of_one_site() -> None:
@@ -52,11 +52,13 @@ def test_the_ports_of_the_three_routers_differ() -> None:
     assert len({router.listen for router in ports if router}) == len(SITES)
 
 
-@pytest.mark.parametrize("scenario", ["five", "still", "empty"])
+@pytest.mark.parametrize("scenario", ["five", "still", "empty", "construction_site", "crowd"])
 def test_the_demo_writes_a_site_that_lists_the_beacons_of_its_scene(tmp_path: Path, scenario: str) -> None:
     path = tmp_path / "demo.toml"
-    path.write_text(site_text(scenario, 5.0, "tcp/127.0.0.1:7000", tmp_path), encoding="utf-8")
+    path.write_text(
+        site_text({"scenario": scenario, "duration_s": 5.0}, "tcp/127.0.0.1:7000", tmp_path), encoding="utf-8"
+    )
     site = load_site(path)
-    assert list(site.beacon) == [spec.beacon for spec in load_scenario(scenario).beacons]
+    assert list(site.beacon) == site_beacons(load_scenario(scenario))
     for entry in site.service:
         resolve(config_type(entry.kind), entry, site, {}, {})

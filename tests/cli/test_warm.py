@@ -14,7 +14,7 @@ from heliograph_services.cli.pipeline import ONE_PROCESS, Pipeline
 from heliograph_services.decoder.config import DecoderConfig
 from heliograph_services.decoder.core import make_core as make_decoder
 from heliograph_services.event_source.config import EventSourceConfig
-from heliograph_services.event_source.simulation.scenario import load_scenario
+from heliograph_services.event_source.simulation.world.load import load_scenario, site_beacons
 from heliograph_services.event_source.stream import open_stream
 from heliograph_services.tracker.config import TrackerConfig
 from heliograph_services.tracker.core import make_core as make_tracker
@@ -25,16 +25,17 @@ def kernels():
 
 warm.main()
 warmed = kernels()
-beacons = tuple(spec.beacon for spec in load_scenario("five").beacons)
+beacons = tuple(site_beacons(load_scenario("five")))
 pipeline = Pipeline(
     make_tracker(TrackerConfig(), ONE_PROCESS), make_decoder(DecoderConfig(beacons=beacons), ONE_PROCESS)
 )
-settings = EventSourceConfig(backend="simulated", scenario="five", duration_s=1.5)
 published = []
-for step in open_stream(settings, ONE_PROCESS):
-    # As between processes: arrays off the wire are read-only, for which numba would compile a kernel of its own.
-    sent = [type(message).from_body(message.to_body()) for message in step.messages]
-    published += pipeline.feed(sent)
+for scenario, seconds in (("five", 1.5), ("construction_site", 0.1), ("night", 0.1), ("crowd", 0.1)):
+    settings = EventSourceConfig(backend="simulated", scenario=scenario, duration_s=seconds, image_hz=20.0)
+    for step in open_stream(settings, ONE_PROCESS):
+        # As between processes: arrays off the wire are read-only, for which numba would compile a kernel of its own.
+        sent = [type(message).from_body(message.to_body()) for message in step.messages]
+        published += pipeline.feed(sent)
 used = kernels()
 late = sorted(name for name in used if used[name] != warmed.get(name))
 print(json.dumps([sorted({m.beacon for m in published if m.SCHEMA == "ids"}), late, len(warmed)]))

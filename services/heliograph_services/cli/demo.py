@@ -34,6 +34,7 @@ from heliograph_services.cli.demo_view import Lines, Table, View
 from heliograph_services.cli.plan import holding, plan_of
 from heliograph_services.cli.supervision import ProcessState, Supervised, SupervisionError
 
+_SCENARIO: Final = "construction_site"
 _NOT_ALL: Final = 1
 _WRONG: Final = 2
 _WAIT_S: Final = 0.05
@@ -43,6 +44,10 @@ _GRACE_S: Final = 100.0
 _AWAITED: Final = frozenset({"tracker", "decoder", "metrics_sink"})
 # After the source has ended: the decoder's last window, its last refresh, and the metrics sink's last commit.
 _DRAIN_S: Final = 1.0
+# A beacon that is visible for so long at a stretch must be identified: ten characters of a text at 1 kbit/s take .11 s,
+# and whoever comes first waits for two periods of the tracker.
+_SEEN_S: Final = 2.0
+_LOOK_AT_S: Final = 0.02
 # When the tracker is killed: everybody is identified by then, and enough is left to see it come back.
 _KILL_AT: Final = 0.5
 
@@ -56,6 +61,15 @@ class Tally:
     most_processes: int = 0
     restarts: int = 0
     refreshed: Counter[str] = field(default_factory=Counter)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What there is to see: the beacons, those that can be seen for long enough to be read, and the camera's sensor."""
+
+    beacons: list[str]
+    long_enough: list[str]
+    sensor: str
 
 
 @dataclass
@@ -86,7 +100,13 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="deploy/demo", description="The whole system on this machine, as processes.")
     parser.add_argument("--headless", action="store_true", help="plain lines, also on a terminal")
     parser.add_argument("--duration", type=_duration, default=10.0, metavar="S", help="seconds of the scene (10)")
-    parser.add_argument("--scenario", default="five", metavar="NAME", help="built-in scene, or a scenario file (five)")
+    parser.add_argument(
+        "--scenario", default=_SCENARIO, metavar="NAME", help=f"built-in scenario, or a scenario file ({_SCENARIO})"
+    )
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all that is random in it (0)")
+    parser.add_argument(
+        "--fidelity", choices=("full", "live"), default="live", help="how finely the surroundings are rendered (live)"
+    )
     parser.add_argument("--kill-tracker", action="store_true", help="kill the tracker midway with signal 9")
     return parser
 
@@ -101,7 +121,8 @@ def _duration(text: str) -> float:
 
 def _run(arguments: argparse.Namespace, folder: Path, stop: Stop) -> int:
     site = _site(arguments, folder)
-    expected = sorted(beacon.name for beacon in site.beacon)
+    scene = _scene(arguments)
+    expected = scene.long_enough
     view: View = Table() if sys.stdout.isatty() and not arguments.headless else Lines()
     tally = Tally()
     kill: Kill | None = None
@@ -121,10 +142,14 @@ def _run(arguments: argparse.Namespace, folder: Path, stop: Stop) -> int:
         "identified": sorted(tally.identified),
         "expected": expected,
         "missing": sorted(set(expected) - tally.identified),
-        "unexpected": sorted(tally.identified - set(expected)),
+        "not_in_view_long_enough": sorted(set(scene.beacons) - set(expected)),
+        "unexpected": sorted(tally.identified - set(scene.beacons)),
         "processes": tally.most_processes,
         "frames": tally.frames,
         "mar": _mar(folder / "metrics.sqlite"),
+        "scenario": arguments.scenario,
+        "sensor": scene.sensor,
+        "fidelity": arguments.fidelity,
         "duration_s": round(time.monotonic() - start, 1),
         "restarts": tally.restarts,
     }
@@ -241,20 +266,47 @@ def _mar(path: Path) -> float | None:
     return None if value is None else round(value, 4)
 
 
+def _scene(arguments: argparse.Namespace) -> Scene:
+    """Return what a scenario shows within the demo's time."""
+    import numpy as np  # noqa: PLC0415 - wanted here alone
+
+    from heliograph_services.event_source.simulation.readout.presets import load_preset  # noqa: PLC0415
+    from heliograph_services.event_source.simulation.world.load import load_scenario  # noqa: PLC0415
+    from heliograph_services.event_source.simulation.world.world import World  # noqa: PLC0415
+
+    scenario = load_scenario(arguments.scenario)
+    camera = scenario.camera
+    sensor = load_preset(camera.sensor, camera.mode, camera.override)
+    world = World(scenario, sensor.width, sensor.height, sensor.pitch_um, arguments.seed)
+    visible = world.seen_all(np.arange(0.0, arguments.duration, _LOOK_AT_S) * US_PER_S).visible
+    need = round(_SEEN_S / _LOOK_AT_S)
+    runs = [max((len(run) for run in "".join("01"[v] for v in row).split("0")), default=0) for row in visible.tolist()]
+    names = [beacon.name for beacon in world.beacons]
+    return Scene(names, sorted(name for name, run in zip(names, runs, strict=True) if run >= need), sensor.name)
+
+
 def _site(arguments: argparse.Namespace, folder: Path) -> Site:
     """Write the demo's site file, and return it as the processes read it."""
     with socket.socket() as s:
         s.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{s.getsockname()[1]}"
     path = folder / "demo.toml"
-    path.write_text(site_text(arguments.scenario, arguments.duration, endpoint, folder), encoding="utf-8")
+    source = {"scenario": arguments.scenario, "seed": arguments.seed, "fidelity": arguments.fidelity}
+    text = site_text(source | {"duration_s": arguments.duration}, endpoint, folder)
+    path.write_text(text, encoding="utf-8")
     return load_site(path)
 
 
-def site_text(scenario: str, duration_s: float, endpoint: str, folder: Path) -> str:
-    """Return a site file for a scenario: all services, and the scenario's beacons by name."""
+def site_text(source: dict[str, Any], endpoint: str, folder: Path) -> str:
+    """Return a site file for a scenario: all services, and the scenario's beacons by name.
+
+    Args:
+        source: settings of the source: scenario, duration_s ...
+        endpoint: of the router.
+        folder: where the metrics go.
+    """
     services: list[dict[str, Any]] = [
-        {"kind": "event_source", "backend": "simulated", "scenario": scenario, "duration_s": duration_s},
+        {"kind": "event_source", "backend": "simulated", **source},
         {"kind": "tracker"},
         {"kind": "decoder"},
         {"kind": "metrics_sink", "file": str(folder / "metrics.sqlite")},
@@ -269,15 +321,18 @@ def site_text(scenario: str, duration_s: float, endpoint: str, folder: Path) -> 
     ]
     for service in services:
         lines += ["[[service]]", *(f"{name} = {json.dumps(value)}" for name, value in service.items())]
-    for beacon in _beacons(scenario):
+    for beacon in _beacons(source["scenario"]):
         lines += ["[[beacon]]", *_beacon_lines(beacon)]
     return "\n".join(lines) + "\n"
 
 
 def _beacons(scenario: str) -> list[Beacon]:
-    from heliograph_services.event_source.simulation.scenario import load_scenario  # noqa: PLC0415 - wanted here alone
+    from heliograph_services.event_source.simulation.world.load import (  # noqa: PLC0415 - wanted here alone
+        load_scenario,
+        site_beacons,
+    )
 
-    return [beacon.beacon for beacon in load_scenario(scenario).beacons]
+    return site_beacons(load_scenario(scenario))
 
 
 def _beacon_lines(beacon: Beacon) -> list[str]:

@@ -15,6 +15,7 @@ _MODULES: Final = (
     "heliograph.onsets",
     "heliograph_services.tracker.core",
     "heliograph_services.decoder.core",
+    "heliograph_services.event_source.simulation",
 )
 # Below it the cache was there already, and nobody needs to know.
 _QUICK_S: Final = 3.0

@@ -1,5 +1,17 @@
-"""An ideal generator of scenes with beacons: sharp edges, discs, jitter and noise.
+"""A scene made from physics: lights and surroundings (`world`, `lights`, `ground`), pixels, read-out; and its truth.
 
-What it leaves out, on purpose: thresholds, time constants and refractory times of real pixels, read-out by scan or bus,
-optics, background texture, occlusion. It tests the house, and says nothing about range or light.
+`contract.py` says what the parts tell each other, `stream.py` ties them together. docs/simulation.md has the laws, their
+sources, and what it has been tested against.
 """
+
+from __future__ import annotations
+
+from importlib import import_module
+
+_WITH_KERNELS = ("random", "pixel", "readout", "ground")
+
+
+def warm() -> None:
+    """Compile all kernels of the simulation, or load them from the cache."""
+    for name in _WITH_KERNELS:
+        import_module(f"{__name__}.{name}").warm()

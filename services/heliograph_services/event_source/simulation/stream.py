@@ -132,6 +132,7 @@ class SceneStream:
 
     def __iter__(self) -> Iterator[Piece]:
         """Yield the pieces without end."""
+        until_us = 0
         while True:
             if self._await_edges is not None:
                 self._await_edges(self._t0_us + CHUNK_US)
@@ -140,8 +141,11 @@ class SceneStream:
             self._t0_us += CHUNK_US
             if self._pictures is not None:
                 taken = tuple(self._pictures.feed(chunk))
-                yield Piece(EventBatch.empty(), np.empty(0, np.int16), chunk.t0_us, taken)
-            yield from self._engine.pieces(chunk)
+                # Without events, which the read-out may still hold: it says nothing new of how far they go.
+                yield Piece(EventBatch.empty(), np.empty(0, np.int16), until_us, taken)
+            for piece in self._engine.pieces(chunk):
+                until_us = piece.until_us
+                yield piece
 
     def _pictures_at(self, image_hz: float) -> Pictures:
         # A view of its own, and a coarse one: the pixels' views lie at other times.

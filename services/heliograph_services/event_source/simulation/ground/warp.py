@@ -26,9 +26,12 @@ import numpy as np
 EDGE_PX: Final = 3.4
 # A fortieth of the step between two views.
 SAG_PX: Final = 0.0125
-# Shorter ones cost more in their ends than in their pixels, longer ones would not follow the level of the footprint.
+# Shorter pieces of a row cost more in their ends than in their pixels; in longer ones the rounding of a parabola's bend
+# grows (half a unit times n^2: 2^-8 of a texel at 128). Within a piece w changes by a quarter at most: the level
+# of its middle suits all of it.
 _SEGMENT_MIN: Final = 8
-_SEGMENT_MAX: Final = 64
+_SEGMENT_MAX: Final = 128
+_SEGMENT_TURN: Final = 0.25
 # Of the horizon nearer than this the ground is its mean: its footprint is beyond the tile.
 _FAR_PX: Final = 0.5
 _TURN: Final = 4294967296.0
@@ -47,41 +50,45 @@ def _read(texels: Any, base: int, bits: int, u: Any, v: Any, out: Any) -> None:
     shift = np.uint32(32 - bits)
     below = np.uint32((np.uint32(1) << shift) - np.uint32(1))
     unit = np.float32(1.0 / (1 << (32 - bits)))
-    stride = (1 << bits) + 1
+    # Indices without a sign need no test for one, which would cost as much as the rest.
+    first, one, stride = np.uint64(base), np.uint64(1), np.uint64((1 << bits) + 1)
     half = np.uint32(np.uint32(1) << (shift - np.uint32(1)))  # a texel's value is that of its middle
-    u0, u1, u2 = np.uint32(u[0] - half), u[1], u[2]
-    v0, v1, v2 = np.uint32(v[0] - half), v[1], v[2]
+    uk, vk = np.uint32(u[0] - half), np.uint32(v[0] - half)
+    du, dv = np.uint32(u[1] + u[2]), np.uint32(v[1] + v[2])
+    bend_u, bend_v = np.uint32(u[2] + u[2]), np.uint32(v[2] + v[2])
     for k in range(len(out)):
-        i = np.uint32(k)
-        uk, vk = np.uint32(u0 + i * (u1 + i * u2)), np.uint32(v0 + i * (v1 + i * v2))
-        at = base + np.int64(uk >> shift) + np.int64(vk >> shift) * stride
+        at = first + np.uint64(uk >> shift) + np.uint64(vk >> shift) * stride
         fu = np.float32(np.int32(uk & below)) * unit
         fv = np.float32(np.int32(vk & below)) * unit
+        uk, vk = np.uint32(uk + du), np.uint32(vk + dv)
+        du, dv = np.uint32(du + bend_u), np.uint32(dv + bend_v)
         a, b = texels[at], texels[at + stride]
-        top = a + fu * (texels[at + 1] - a)
-        bottom = b + fu * (texels[at + stride + 1] - b)
+        top = a + fu * (texels[at + one] - a)
+        bottom = b + fu * (texels[at + stride + one] - b)
         out[k] = top + fv * (bottom - top)
 
 
 @numba.njit(cache=True, nogil=True)
 def _blend(texels: Any, base: int, bits: int, u: Any, v: Any, share: Any, out: Any) -> None:
-    """Mix a share of another level into what `_read` gave."""
+    """Mix a share of another level into what `_read` gave; the same loop, which a test in it would slow down."""
     shift = np.uint32(32 - bits)
     below = np.uint32((np.uint32(1) << shift) - np.uint32(1))
     unit = np.float32(1.0 / (1 << (32 - bits)))
-    stride = (1 << bits) + 1
+    # Indices without a sign need no test for one, which would cost as much as the rest.
+    first, one, stride = np.uint64(base), np.uint64(1), np.uint64((1 << bits) + 1)
     half = np.uint32(np.uint32(1) << (shift - np.uint32(1)))  # a texel's value is that of its middle
-    u0, u1, u2 = np.uint32(u[0] - half), u[1], u[2]
-    v0, v1, v2 = np.uint32(v[0] - half), v[1], v[2]
+    uk, vk = np.uint32(u[0] - half), np.uint32(v[0] - half)
+    du, dv = np.uint32(u[1] + u[2]), np.uint32(v[1] + v[2])
+    bend_u, bend_v = np.uint32(u[2] + u[2]), np.uint32(v[2] + v[2])
     for k in range(len(out)):
-        i = np.uint32(k)
-        uk, vk = np.uint32(u0 + i * (u1 + i * u2)), np.uint32(v0 + i * (v1 + i * v2))
-        at = base + np.int64(uk >> shift) + np.int64(vk >> shift) * stride
+        at = first + np.uint64(uk >> shift) + np.uint64(vk >> shift) * stride
         fu = np.float32(np.int32(uk & below)) * unit
         fv = np.float32(np.int32(vk & below)) * unit
+        uk, vk = np.uint32(uk + du), np.uint32(vk + dv)
+        du, dv = np.uint32(du + bend_u), np.uint32(dv + bend_v)
         a, b = texels[at], texels[at + stride]
-        top = a + fu * (texels[at + 1] - a)
-        bottom = b + fu * (texels[at + stride + 1] - b)
+        top = a + fu * (texels[at + one] - a)
+        bottom = b + fu * (texels[at + stride + one] - b)
         out[k] += share * (top + fv * (bottom - top) - out[k])
 
 
@@ -114,15 +121,19 @@ def _row(
     while x < x1:
         n = x1 - x
         if not flat:
-            n = min(n, _SEGMENT_MAX)
+            steepest = max(abs(m[2, 0]), abs(m[2, 1]))
+            n = min(n, _SEGMENT_MAX, max(_SEGMENT_MIN, int(_SEGMENT_TURN * w / steepest)))
             if m[2, 0] != 0.0:
                 # A projective line, 1 / (1 + q k), leaves its parabola by less than n^3 q^2 / 20 px.
                 n = min(n, max(_SEGMENT_MIN, int((20.0 * SAG_PX * (w / m[2, 0]) ** 2) ** (1.0 / 3.0))))
-        # The last may begin so near to the horizon that its end lies behind it: its two last pixels then do.
-        if m[2, 0] * (x + n) + m[2, 1] * y + m[2, 2] <= 0.5 * w:
-            n = 1
-        u1, v1, w1 = _ground(m, x + n, y)
-        um, vm, wm = _ground(m, x + 0.5 * n, y)
+            if m[2, 0] < 0.0:  # towards the horizon: a piece ends half way to it, at the latest
+                n = min(n, max(1, int(-0.5 * w / m[2, 0])))
+        um, vm, wm = u, v, w
+        u1, v1, w1 = u, v, w
+        if n > 1:
+            um, vm, wm = _ground(m, x + 0.5 * n, y)
+        if x + n < x1 or n > 1:  # not behind a last pixel: that may be the sky
+            u1, v1, w1 = _ground(m, x + n, y)
         level, share = _level(m, um, vm, wm, texel_m / pixel, levels)
         pu, pv = _parabola(u, um, u1, n, scale), _parabola(v, vm, v1, n, scale)
         _read(texels, bases[level], bits - level, pu, pv, out[x : x + n])
