@@ -84,7 +84,7 @@ def plain_changes(images: list[int], threshold: float, scale: Scale, limit: int,
     for grey in images[1:]:
         change = f(grey) - kept
         steps = 0
-        while abs(change) > threshold and (steps + 1) * threshold <= abs(change) * (1 + 1e-12):
+        while abs(change) > threshold and steps + 1 <= abs(change) / threshold + 1e-9:
             steps += 1
         n = min(limit, steps)
         found.append(n if change > 0 else -n)

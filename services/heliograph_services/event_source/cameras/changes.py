@@ -28,6 +28,8 @@ Scale = Literal["log", "linear"]
 Reference = Literal["step", "changed", "last"]
 
 LIN_LOG_GREY: Final = 20.0
+# Of a threshold: a pixel that goes to and fro between two greys makes as many events both ways.
+_ROUNDING: Final = 1e-9
 _RULES: Final[dict[Reference, int]] = {"step": 0, "changed": 1, "last": 2}
 
 
@@ -94,8 +96,9 @@ def _compare(grey: Any, values: Any, reference: Any, threshold: float, limit: in
         size = abs(change)
         n = 0
         if size > threshold:
-            n = min(limit, max(1, int(size / threshold)))
-            if rule != 0 or size >= (n + 1) * threshold:
+            steps = max(1, int(size / threshold + _ROUNDING))
+            n = min(limit, steps)
+            if rule != 0 or steps > limit:
                 reference[i] = value
             elif change > 0.0:
                 reference[i] += n * threshold

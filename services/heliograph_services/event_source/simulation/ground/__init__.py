@@ -18,6 +18,8 @@ def warm() -> None:
     warp.draw_quad(lines, 0.0, full)
     warp.cover_quad(lines, full)
     warp.double(half, full)
+    groups = np.zeros((1, 4, 4), np.float32)
+    warp.lit(full, full, groups, groups, 0.0, np.zeros(1, np.float32), np.zeros(4, np.int64), full.copy())
     changes.warm()
     nodes, one, none = np.zeros((1, 2)), np.zeros(1), np.zeros(0)
     image = np.zeros((1, 1))

@@ -35,7 +35,7 @@ from heliograph_services.event_source.simulation.ground.motion import (
     way_of,
 )
 from heliograph_services.event_source.simulation.ground.texture import make_texture
-from heliograph_services.event_source.simulation.ground.warp import cover_quad, double, draw_quad, render_ground
+from heliograph_services.event_source.simulation.ground.warp import cover_quad, double, draw_quad, lit, render_ground
 from heliograph_services.event_source.simulation.world.projection import Projection
 from heliograph_services.event_source.simulation.world.spec import Ground, Mains
 from heliograph_services.event_source.simulation.world.world import World
@@ -72,14 +72,14 @@ class _Shot:
     Args:
         key: of the scene.
         view: u, (height, width) float32, without lamps; where there are lamps, at the resolution that is rendered.
-        lit: s of each group of lamps, likewise.
+        lit: s of each group of lamps, likewise: (groups, rows, columns).
         reach: first row, last row + 1, first column, last column + 1 of what lamps reach.
     """
 
     key: bytes
     view: View
-    lit: tuple[View, ...]
-    reach: tuple[int, int, int, int]
+    lit: View
+    reach: Ints
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,8 +193,10 @@ class GroundBackground:
         seen, lines = grid.lines((scene.corners - scene.position) @ scene.rotation.T)
         for k in np.flatnonzero(seen):
             draw_quad(lines[k], math.log(self._gain * scene.reflectance[k] + self._dark_w_m2), view)
-        lit = tuple(self._covered(lamps, scene, view) for lamps in self._lamps)
-        return _Shot(scene.key, view if lit else grid.finished(view), lit, _reach(lit))
+        if not self._lamps:
+            return _Shot(scene.key, grid.finished(view), np.empty((0, 0, 0), np.float32), np.zeros(4, np.int64))
+        lit_by = np.stack([self._covered(lamps, scene, view) for lamps in self._lamps])
+        return _Shot(scene.key, view, lit_by, _reach(lit_by))
 
     def _covered(self, lamps: _Lamps, scene: _Scene, view: View) -> View:
         """Return s of a group of lamps."""
@@ -206,45 +208,33 @@ class GroundBackground:
                 covered = np.zeros_like(view)
                 cover_quad(lines[member], covered)
                 total += np.float32(weight) * covered
-        total *= np.float32(1.0) - np.float32(self._dark_w_m2) * np.exp(-view)
+        y0, y1, x0, x1 = _reach(total[None])
+        total[y0:y1, x0:x1] *= np.float32(1.0) - np.float32(self._dark_w_m2) * np.exp(-view[y0:y1, x0:x1])
         return total
 
     def _lit(self, before: _Shot, after: _Shot, share: float, t_us: float) -> View:
         """Return the view at a time between two shots, its lamps on."""
-        mixed = _mixed(before.view, after.view, share)
-        view = mixed.copy() if mixed is before.view else mixed
+        view = np.empty_like(before.view)
+        added = np.array([lamps.added(t_us) for lamps in self._lamps], np.float32)
         box = _box(before.reach, after.reach)
-        light = np.ones_like(view[box])
-        for k, lamps in enumerate(self._lamps):
-            light += np.float32(lamps.added(t_us)) * _mixed(before.lit[k][box], after.lit[k][box], share)
-        view[box] += np.log(light)
+        lit(before.view, after.view, before.lit, after.lit, share, added, box, view)
         return self._grid.finished(view)
 
 
-def _mixed(before: View, after: View, share: float) -> View:
-    if share == 0.0:
-        return before
-    return before + np.float32(share) * (after - before)
-
-
-def _reach(lit: tuple[View, ...]) -> tuple[int, int, int, int]:
-    """Return the rows and columns outside which no lamp adds anything."""
-    if not lit:
-        return 0, 0, 0, 0
-    some = np.any([image > 0.0 for image in lit], axis=0)
-    rows, columns = np.flatnonzero(some.any(axis=1)), np.flatnonzero(some.any(axis=0))
+def _reach(lit_by: View) -> Ints:
+    """Return the rows and columns outside which no lamp adds anything: first, last + 1 of each."""
+    some = np.any(lit_by > 0.0, axis=0)
+    rows, columns = np.flatnonzero(np.any(some, axis=1)), np.flatnonzero(np.any(some, axis=0))
     if not len(rows):
-        return 0, 0, 0, 0
-    return int(rows[0]), int(rows[-1]) + 1, int(columns[0]), int(columns[-1]) + 1
+        return np.zeros(4, np.int64)
+    return np.array([rows[0], rows[-1] + 1, columns[0], columns[-1] + 1], np.int64)
 
 
-def _box(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> tuple[slice, slice]:
+def _box(a: Ints, b: Ints) -> Ints:
     """Return the rows and columns that two reaches have between them."""
-    used = [reach for reach in (a, b) if reach[1] > reach[0]] or [a]
-    return (
-        slice(min(r[0] for r in used), max(r[1] for r in used)),
-        slice(min(r[2] for r in used), max(r[3] for r in used)),
-    )
+    if a[0] == a[1] or b[0] == b[1]:
+        return a + b  # one is all zeros
+    return np.array([min(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), max(a[3], b[3])], np.int64)
 
 
 class _Grid:

@@ -301,3 +301,49 @@ def double(half: Any, out: Any) -> None:
             row[2 * i + 1] = near * line[i + 1] + other * line[i + 2]
         if width & 1:
             row[width - 1] = near * line[columns] + other * line[columns - 1]
+
+
+@numba.njit(cache=True, nogil=True)
+def lit(dark0: Any, dark1: Any, lit0: Any, lit1: Any, share: float, added: Any, box: Any, out: Any) -> None:
+    """Write a view between two shots with its lamps: u + ln(1 + sum m s), u and s on straight lines between the shots.
+
+    The logarithm is ours so that a compiler can do several at once: x = 2^e y, 1 <= y < 2, z = (y - 1) / (y + 1),
+    ln x = e ln 2 + 2 (z + z^3 / 3 + z^5 / 5 + z^7 / 7 + z^9 / 9), off by less than 2e-6.
+
+    Args:
+        dark0: (height, width) float32, u before.
+        dark1: u after.
+        lit0: (groups, height, width) float32, s before.
+        lit1: s after.
+        share: 0 to 1, of what is after.
+        added: (groups,) float32, m.
+        box: first row, last row + 1, first column, last column + 1 outside which all s are 0.
+        out: (height, width) float32.
+    """
+    height, width = out.shape
+    f, x0, x1 = np.float32(share), box[2], box[3]
+    one, two = np.float32(1.0), np.float32(2.0)
+    c3, c5, c7, c9 = np.float32(1 / 3), np.float32(1 / 5), np.float32(1 / 7), np.float32(1 / 9)
+    ln2 = np.float32(math.log(2.0))
+    total = np.empty(x1 - x0, np.float32)
+    word = total.view(np.int32)
+    power = np.empty(x1 - x0, np.float32)
+    for y in range(height):
+        before, after, row = dark0[y], dark1[y], out[y]
+        for x in range(width):
+            row[x] = before[x] + f * (after[x] - before[x])
+        if not box[0] <= y < box[1]:
+            continue
+        total[:] = one
+        for g in range(len(added)):
+            m, s0, s1 = added[g], lit0[g, y, x0:x1], lit1[g, y, x0:x1]
+            for k in range(x1 - x0):
+                total[k] += m * (s0[k] + f * (s1[k] - s0[k]))
+        for k in range(x1 - x0):
+            power[k] = np.float32((word[k] >> np.int32(23)) - np.int32(127))
+            word[k] = (word[k] & np.int32(0x7FFFFF)) | np.int32(0x3F800000)
+        inner = row[x0:x1]
+        for k in range(x1 - x0):
+            z = (total[k] - one) / (total[k] + one)
+            q = z * z
+            inner[k] += power[k] * ln2 + two * z * (one + q * (c3 + q * (c5 + q * (c7 + q * c9))))
