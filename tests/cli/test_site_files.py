@@ -16,7 +16,7 @@ from heliograph_services.cli.services import config_type
 from heliograph_services.event_source.simulation.world.load import load_scenario, site_beacons
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
-SITES = ("laptop", "onboard", "ground")
+SITES = ("laptop", "onboard", "ground", "reference")
 
 
 @pytest.mark.parametrize("name", SITES)

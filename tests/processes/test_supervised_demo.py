@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 pytestmark = pytest.mark.processes
+SITE = ["crate", "foreman", "forklift", "mason", "pallet", "pipes", "truck", "welder"]
 FIVE = ["crane", "gate", "lift", "mixer", "truck"]
 # Supervisor, router, tracker, decoder and metrics sink; the source comes when they are warm.
 PROCESSES_AT_FIRST = 5
@@ -66,7 +67,7 @@ def running_below(folder: Path) -> list[str]:
 
 
 def test_every_beacon_is_identified_also_while_the_tracker_is_dead(short_folder: Path) -> None:
-    with demo(short_folder, "--duration", "6", "--kill-tracker") as run:
+    with demo(short_folder, "--scenario", "five", "--duration", "6", "--kill-tracker") as run:
         out, err = run.communicate(timeout=110)
     assert run.returncode == 0, err
     lines = out.splitlines()
@@ -82,6 +83,22 @@ def test_every_beacon_is_identified_also_while_the_tracker_is_dead(short_folder:
     for name in FIVE:
         assert any(name in line and "accepted" in line for line in lines[:-1])
     assert list(short_folder.iterdir()) == []
+
+
+def test_the_demo_flies_over_the_site_and_finds_every_beacon_that_is_to_be_seen(short_folder: Path) -> None:
+    with demo(short_folder, "--duration", "5") as run:
+        out, err = run.communicate(timeout=110)
+    assert run.returncode == 0, err
+    result = json.loads(out.splitlines()[-1])
+    assert len(result["expected"]) >= 5
+    assert set(result["expected"]) <= set(result["identified"])
+    assert sorted(result["expected"] + result["not_in_view_long_enough"]) == SITE
+    assert (result["scenario"], result["sensor"], result["fidelity"]) == (
+        "construction_site",
+        "dvxplorer_mini",
+        "live",
+    )
+    assert 0.5 < result["mar"] <= 1
 
 
 def test_ctrl_c_ends_everything_and_leaves_nothing(short_folder: Path) -> None:

@@ -39,8 +39,15 @@ def lies(port: int) -> Iterator[None]:
         with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
             n = 0
             while not end.wait(0.002):
-                t1_us = 10_000 * (n % 300 + 1)
-                lie = msgspec.structs.replace(truth, t0_us=t1_us - 10_000, t1_us=t1_us, frame_payload=[n % 64])
+                t0_us = 10_000 * (n % 300)
+                lie = msgspec.structs.replace(
+                    truth,
+                    t0_us=t0_us,
+                    t1_us=t0_us + 10_000,
+                    frame_payload=[n % 64],
+                    edge_us=truth.edge_us + t0_us,
+                    edge_on=~truth.edge_on,
+                )
                 session.put(key("replay", "truth", "cam0"), pack(header_of(lie, n), lie))
                 n += 1
 
