@@ -32,6 +32,7 @@ class FlowScene:
             bright stripes across the motion).
         speed_px_s: of the translation.
         angle_deg: its direction, from +x towards +y.
+        gated: the source's gate is active: an entry has two events in the 3 x 3 of its tick.
         omega_rad_s: roll about the image's centre.
         noise_hz: events a second of uniform noise on a sensor of 640 x 480, of which this is a cut-out.
     """
@@ -48,6 +49,7 @@ class FlowScene:
     discs: int = 4
     radius_px: float = 4.0
     contrast: float = 0.25
+    gated: bool = False
 
     @property
     def velocity(self) -> tuple[float, float]:
@@ -136,7 +138,10 @@ class FlowScene:
         return see
 
     def _message(self, k: int, on: npt.NDArray[np.int64], off: npt.NDArray[np.int64]) -> Onsets:
-        y, x = np.nonzero(on + off)
+        count = on + off
+        if self.gated:
+            count = np.where(ndimage.convolve(count, np.ones((3, 3), np.int64), mode="constant") >= 2, count, 0)
+        y, x = np.nonzero(count)
         return Onsets(
             camera="cam0",
             stream="flow",

@@ -20,29 +20,33 @@ SPIKES_AT_FIRST: Final = 4096
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spikes:
-    """The n spikes of one tick.
+    """The n spikes of one tick: views of the runtime's buffers, overwritten by its next tick.
 
     Args:
         x: (n,) int32, column.
         y: (n,) int32, row.
         k: (n,) int32, neuron.
-        s: (n,) float32, potential.
+        s: (n,) potential, float32, or int32 where weights are whole.
     """
 
     x: Ints
     y: Ints
     k: Ints
-    s: npt.NDArray[np.float32]
+    s: npt.NDArray[Any]
 
     def __len__(self) -> int:
         return len(self.x)
+
+    def copy(self) -> Spikes:
+        """Return the same spikes, to keep."""
+        return Spikes(self.x.copy(), self.y.copy(), self.k.copy(), self.s.copy())
 
 
 class Runtime(Protocol):
     """A network that runs."""
 
     def step(self, x: npt.NDArray[Any], y: npt.NDArray[Any]) -> Spikes:
-        """Take the distinct active pixels of the next tick, all on the image; return its spikes."""
+        """Take the next tick's distinct active pixels, all on the image; return its spikes, for use until the next."""
         ...
 
     def skip(self, ticks: int) -> list[Spikes]:
@@ -51,4 +55,4 @@ class Runtime(Protocol):
 
 
 NO_PIXELS: Final = np.empty(0, np.int64)
-NO_SPIKES: Final = Spikes(np.empty(0, np.int32), np.empty(0, np.int32), np.empty(0, np.int32), np.empty(0, np.float32))
+NO_SPIKES: Final = Spikes(np.empty(0, np.int32), np.empty(0, np.int32), np.empty(0, np.int32), np.empty(0, np.int32))

@@ -171,7 +171,7 @@ class TableRuntime:
         self._out_s = np.empty(SPIKES_AT_FIRST, np.float32)
 
     def step(self, x: npt.NDArray[Any], y: npt.NDArray[Any]) -> Spikes:
-        """Take the distinct active pixels of the next tick, all on the image; return its spikes."""
+        """Take the next tick's distinct active pixels, all on the image; return its spikes, for use until the next."""
         n, (width, height) = self._network, self._size
         self._now += 1
         x, y = x.astype(np.int64), y.astype(np.int64)
@@ -190,11 +190,11 @@ class TableRuntime:
             np.float32(n.l_tau), np.float32(n.v_th), n.h == "step_above", self._floor,
             self._s, self._s_at, self._lit, self._drive, out, out_s,
         )  # fmt: skip
-        return Spikes(out[0, :count].copy(), out[1, :count].copy(), out[2, :count].copy(), out_s[:count].copy())
+        return Spikes(out[0, :count], out[1, :count], out[2, :count], out_s[:count])
 
     def skip(self, ticks: int) -> list[Spikes]:
         """Pass so many ticks without input; return the spikes of the first that can have any."""
-        spikes = [self.step(NO_PIXELS, NO_PIXELS) for _ in range(min(ticks, TICKS))]
+        spikes = [self.step(NO_PIXELS, NO_PIXELS).copy() for _ in range(min(ticks, TICKS))]
         self._now += max(0, ticks - TICKS)
         return spikes
 

@@ -4,6 +4,9 @@ The images of the last 11 ticks are bit planes. For each word of outputs in whos
 shifted words around it are made once; a neuron's potential for 64 pixels at a time is the count of its 25 of them,
 summed bit by bit by carry-save adders, and compared bit by bit with the threshold. Work grows with the words that are
 touched, and ends at the frame: full frames need no other form.
+
+A neuron whose longest delay is D cannot fire where fewer than v_th pixels in reach were active in the last D + 1 ticks.
+That bound is one count for all neurons of the same D, and spares sparse noise nearly all of the work.
 """
 
 from __future__ import annotations
@@ -102,58 +105,108 @@ def _shift(planes: Words, head: int, row: int, word: int, shifted: Words) -> Non
 
 
 @kernel
+def _any(planes: Words, head: int, delays: Any, seen: Words) -> None:
+    """Fill seen (levels, rows, words): what was active in the last delays[level] + 1 ticks; delays rise."""
+    for row in range(planes.shape[1]):
+        for word in range(planes.shape[2]):
+            so_far = np.uint64(0)
+            delay = 0
+            for level in range(len(delays)):
+                while delay <= delays[level]:
+                    so_far |= planes[(head - delay) % TICKS, row, word]
+                    delay += 1
+                seen[level, row, word] = so_far
+
+
+@kernel
+def _within(seen: Words, row: int, word: int, shifted: Words) -> None:
+    """Fill shifted (25) with what each synapse sees of one plane, for a word of outputs."""
+    one = np.uint64(1)
+    two = np.uint64(2)
+    for dy in range(SIDE):
+        left = seen[row + dy, word]
+        here = seen[row + dy, word + 1]
+        right = seen[row + dy, word + 2]
+        i = dy * SIDE
+        shifted[i] = (here << two) | (left >> np.uint64(62))
+        shifted[i + 1] = (here << one) | (left >> np.uint64(63))
+        shifted[i + 2] = here
+        shifted[i + 3] = (here >> one) | (right << np.uint64(63))
+        shifted[i + 4] = (here >> two) | (right << np.uint64(62))
+
+
+@kernel
+def _reached(c: Any, at_least: int, fire: Any) -> Any:
+    """Return where a count of five bit planes is at least so much, of the pixels in fire."""
+    inside = fire
+    fire = c[0] & fire if at_least & 1 else c[0] | fire
+    fire = c[1] & fire if at_least & 2 else c[1] | fire
+    fire = c[2] & fire if at_least & 4 else c[2] | fire
+    fire = c[3] & fire if at_least & 8 else c[3] | fire
+    fire = c[4] & fire if at_least & 16 else c[4] | fire
+    return fire & inside
+
+
+@kernel
+def _candidates(seen: Words, row: int, word: int, at_least: int, shifted: Words, all_: Any, out: Words) -> bool:
+    """Fill out (levels): the outputs of a word that any neuron of a level may fire at; return whether there are any."""
+    found = False
+    top = len(out) - 1
+    around = np.uint64(0)
+    for dy in range(SIDE):
+        around |= seen[top, row + dy, word + 1]
+        around |= (seen[top, row + dy, word] >> np.uint64(62)) | (seen[top, row + dy, word + 2] << np.uint64(62))
+    if around == np.uint64(0):
+        return False
+    # From the longest delays down: what no longer one reaches no shorter one does.
+    for level in range(top, -1, -1):
+        _within(seen[level], row, word, shifted)
+        out[level] = _reached(_count(shifted, all_), at_least, ~np.uint64(0))
+        found |= out[level] != np.uint64(0)
+        if out[level] == np.uint64(0):
+            for lower in range(level):
+                out[lower] = np.uint64(0)
+            break
+    return found
+
+
+@kernel
 def _word_step(
-    planes: Words, head: int, width: int, index: Any, at_least: int, any_: Words, shifted: Words, place: Any, out: Ints
-) -> int:
+    planes: Words, head: int, width: int, index: Any, level: Any, delays: Any, at_least: int, seen: Words,
+    shifted: Words, may: Words, place: Any, out: Ints,
+) -> int:  # fmt: skip
     """Write rows (x, y, k, s) of this tick's spikes to out (4, capacity); return how many there are, written or not."""
     height = planes.shape[1] - 2 * REACH
     words = planes.shape[2] - 2
     zero = np.uint64(0)
-    for row in range(planes.shape[1]):
-        for word in range(planes.shape[2]):
-            seen = zero
-            for plane in range(TICKS):
-                seen |= planes[plane, row, word]
-            any_[row, word] = seen
+    one = np.uint64(1)
+    all_ = np.arange(SYNAPSES)
+    _any(planes, head, delays, seen)
     n = 0
     for row in range(height):
         for word in range(words):
-            here = zero
-            sides = zero
-            for dy in range(SIDE):
-                here |= any_[row + dy, word + 1]
-                sides |= (any_[row + dy, word] >> np.uint64(62)) | (any_[row + dy, word + 2] << np.uint64(62))
-            if here | sides == zero:
+            if not _candidates(seen, row, word, at_least, shifted, all_, may):
                 continue
             _shift(planes, head, row, word, shifted)
             inside = ~zero
             if 64 * word + 64 > width:
-                inside = (np.uint64(1) << np.uint64(width - 64 * word)) - np.uint64(1)
+                inside = (one << np.uint64(width - 64 * word)) - one
             for k in range(NEURONS):
-                c0, c1, c2, c3, c4 = _count(shifted, index[k])
-                fire = inside
-                fire = c0 & fire if at_least & 1 else c0 | fire
-                fire = c1 & fire if at_least & 2 else c1 | fire
-                fire = c2 & fire if at_least & 4 else c2 | fire
-                fire = c3 & fire if at_least & 8 else c3 | fire
-                fire = c4 & fire if at_least & 16 else c4 | fire
-                fire &= inside
+                if may[level[k]] & inside == zero:
+                    continue
+                c = _count(shifted, index[k])
+                fire = _reached(c, at_least, inside)
                 while fire != zero:
-                    bit = place[((fire & (~fire + np.uint64(1))) * _DE_BRUIJN) >> np.uint64(58)]
-                    fire &= fire - np.uint64(1)
+                    bit = place[((fire & (~fire + one)) * _DE_BRUIJN) >> np.uint64(58)]
+                    fire &= fire - one
                     if n < out.shape[1]:
                         b = np.uint64(bit)
-                        one = np.uint64(1)
                         out[0, n] = 64 * word + bit
                         out[1, n] = row
                         out[2, n] = k
-                        out[3, n] = (
-                            ((c0 >> b) & one)
-                            | (((c1 >> b) & one) << np.uint64(1))
-                            | (((c2 >> b) & one) << np.uint64(2))
-                            | (((c3 >> b) & one) << np.uint64(3))
-                            | (((c4 >> b) & one) << np.uint64(4))
-                        )
+                        s = ((c[0] >> b) & one) + (((c[1] >> b) & one) << one) + (((c[2] >> b) & one) << np.uint64(2))
+                        s += (((c[3] >> b) & one) << np.uint64(3)) + (((c[4] >> b) & one) << np.uint64(4))
+                        out[3, n] = s
                     n += 1
     return n
 
@@ -169,7 +222,12 @@ class WordRuntime:
 
     def __init__(self, network: FlowNetwork, width: int, height: int) -> None:
         self._planes = np.zeros((TICKS, height + 2 * REACH, -(-width // 64) + 2), np.uint64)
-        self._any = np.zeros(self._planes.shape[1:], np.uint64)
+        # A neuron that no synapse feeds counts as one without delay.
+        longest = np.where(network.weight == 1, network.delay, 0).max(axis=1)
+        delays, self._level = np.unique(longest, return_inverse=True)
+        self._delays = delays.astype(np.int64)
+        self._seen = np.zeros((len(delays), *self._planes.shape[1:]), np.uint64)
+        self._may = np.zeros(len(delays), np.uint64)
         # The last word is always 0: synapses of weight 0 read it.
         self._shifted = np.zeros(_SHIFTED + 1, np.uint64)
         j = np.arange(SYNAPSES)
@@ -183,7 +241,7 @@ class WordRuntime:
         self._out = np.empty((4, SPIKES_AT_FIRST), np.int32)
 
     def step(self, x: npt.NDArray[Any], y: npt.NDArray[Any]) -> Spikes:
-        """Take the distinct active pixels of the next tick, all on the image; return its spikes."""
+        """Take the next tick's distinct active pixels, all on the image; return its spikes, for use until the next."""
         self._head = (self._head + 1) % TICKS
         self._planes[self._head] = 0
         self._silent = 0 if len(x) else self._silent + 1
@@ -193,20 +251,14 @@ class WordRuntime:
         _set_bits(self._planes[self._head], x.astype(np.int64), y.astype(np.int64))
         while True:
             n = _word_step(
-                self._planes, self._head, self._width, self._index, self._at_least,
-                self._any, self._shifted, _BIT_PLACE, self._out,
+                self._planes, self._head, self._width, self._index, self._level, self._delays, self._at_least,
+                self._seen, self._shifted, self._may, _BIT_PLACE, self._out,
             )  # fmt: skip
             if n <= self._out.shape[1]:
                 break
             self._out = np.empty((4, 2 * n), np.int32)
-        # Copies: the buffer is used again.
-        return Spikes(
-            self._out[0, :n].copy(),
-            self._out[1, :n].copy(),
-            self._out[2, :n].copy(),
-            self._out[3, :n].astype(np.float32),
-        )
+        return Spikes(self._out[0, :n], self._out[1, :n], self._out[2, :n], self._out[3, :n])
 
     def skip(self, ticks: int) -> list[Spikes]:
         """Pass so many ticks without input; return the spikes of the first that can have any."""
-        return [self.step(NO_PIXELS, NO_PIXELS) for _ in range(min(ticks, TICKS))]
+        return [self.step(NO_PIXELS, NO_PIXELS).copy() for _ in range(min(ticks, TICKS))]
