@@ -11,6 +11,7 @@ import textwrap
 import time
 from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import msgspec
@@ -35,7 +36,9 @@ def parser() -> argparse.ArgumentParser:
     """Return the command line."""
     made = argparse.ArgumentParser(prog="heliograph decode", description="Read a recording of blinking beacons.")
     made.add_argument(
-        "file", metavar="FILE", help="AEDAT4, EVT2/EVT3 RAW, DAT, ES, CSV, NPZ or a MATLAB beacon recording"
+        "file",
+        metavar="FILE",
+        help="AEDAT4, EVT2/EVT3 RAW, DAT, ES, CSV, NPZ (of events, or of images) or a MATLAB beacon recording",
     )
     made.add_argument(
         "--protocol", default=None, metavar="NAME|auto", help="seed11 (default), code, uart, or auto: all"
@@ -87,13 +90,15 @@ def build(arguments: argparse.Namespace) -> tuple[Any, Pipeline, list[Core]]:
     # Not at the top: numba takes most of a second that a wrong argument need not pay.
     from heliograph_services.decoder import core as decoder  # noqa: PLC0415
     from heliograph_services.decoder.__main__ import SERVICE as DECODER  # noqa: PLC0415
+    from heliograph_services.event_source.cameras.image_file import holds_images  # noqa: PLC0415
     from heliograph_services.event_source.stream import open_stream  # noqa: PLC0415
     from heliograph_services.tracker import core as tracker  # noqa: PLC0415
 
     site = load_site(arguments.site) if arguments.site else Site(path="flags")
     camera = arguments.camera or _only_camera(site)
     source_given = {"file": arguments.file, "width": arguments.width, "height": arguments.height}
-    source_given |= {"format": arguments.format, "backend": "recording", "window_us": _WINDOW_US, "loop": False}
+    backend = "images" if holds_images(Path(arguments.file)) else "recording"
+    source_given |= {"format": arguments.format, "backend": backend, "window_us": _WINDOW_US, "loop": False}
     source_config = _settings("event_source", site, camera, source_given)
     tracker_config = _settings("tracker", site, camera, {})
     decoder_given: dict[str, Any] = {"receiver": arguments.receiver, "camera_file": arguments.camera_file}

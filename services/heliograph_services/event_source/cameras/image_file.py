@@ -30,6 +30,15 @@ _DATE: Final = (1980, 1, 1, 0, 0, 0)
 _COPY_BYTES: Final = 1 << 20
 
 
+def holds_images(path: Path) -> bool:
+    """Return whether a file is an archive of images; one that cannot be read is none."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return "images.npy" in archive.namelist()
+    except (OSError, zipfile.BadZipFile):
+        return False
+
+
 class ImageFile:
     """A file of images, opened for its size.
 
