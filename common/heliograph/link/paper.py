@@ -7,6 +7,9 @@ Polarity (section 2.2.3), in windows of one nominal bit on an absolute grid: P =
     otherwise   it moved
     n = max(1, round((t_c - t_t) f))      the paper prints (t_c - t_t) / f, which has no unit of a count
 
+A window of fewer events than a cluster needs has no target, so no polarity; a window that says again what the last
+transition said is none: an LED that is on cannot go on. (Without these two, a pixel's slow OFF response or two events
+of noise in a dark bit add bits of their own, and real pixels are hardly read at any rate.)
 The first transition only sets t_t. A gap longer than the longest legal run is an occlusion: the sequence is cleared.
 Once for every 11 new bits the last 11 are rotated to the start code 1110 and the parity is checked. Both edges of a
 short bit in one window cancel and are lost, as published.
@@ -32,6 +35,8 @@ from heliograph.link.frames import CyclicCode, rotations
 from heliograph.units import US_PER_S, bit_us
 
 POLARITY: Final = 0.5
+# The polarity is that of a target, and a target has events enough for a cluster (the paper: 5 to 30).
+MIN_EVENTS: Final = 5
 SCORE_START: Final = 10
 SCORE_MAX: Final = 20
 SCORE_MIN: Final = 0
@@ -83,6 +88,7 @@ class PaperReceiver:
         self._signed = 0
         self._events = 0
         self._transition: int | None = None  # window of the last transition
+        self._lit: bool | None = None  # the LED since then
         self._heard_us: int | None = None
         self._bits: deque[int] = deque(maxlen=code.bits)
         self._new_bits = 0
@@ -142,12 +148,16 @@ class PaperReceiver:
 
     def _close(self, out: list[LinkFrame | Text]) -> None:
         """Judge the open window by its polarity."""
-        window, polarity = self._window, self._signed / self._events
+        window, events, polarity = self._window, self._events, self._signed / self._events
         self._window, self._signed, self._events = None, 0, 0
-        if window is None or abs(polarity) < POLARITY:
+        if window is None or events < MIN_EVENTS or abs(polarity) < POLARITY:
             return
-        before, self._transition = self._transition, window
         self._heard_us = int((window + 1) * self._bit_us)
+        on = polarity > 0
+        if on is self._lit:
+            return
+        self._lit = on
+        before, self._transition = self._transition, window
         if before is None:
             return
         n = max(1, window - before)
@@ -157,7 +167,7 @@ class PaperReceiver:
             self._new_bits = 0
             return
         for _ in range(n):
-            self._bits.append(0 if polarity > 0 else 1)
+            self._bits.append(0 if on else 1)
             self._new_bits += 1
             if self._new_bits >= self._code.bits:
                 self._new_bits = 0
