@@ -3,10 +3,10 @@
     python bench/study_static.py [-o bench/results/static_mar.json] [--plot docs/plots/static_mar.png]
 
 The paper's "Static OCC performance": DVXplorer Mini, 3.6 mm, indoors (2 W/m2), payload 42. Beside the quoted curve
-(over .94 up to 2.5 kHz) stands the prediction from scanning alone (`static_prediction.py`, stored before this study was first
-run). Rows with ideal edges have pixels without a time constant; they differ in how much later OFF events come than ON
-events, and by how much the scan is stretched beyond what the load explains. Two rows have the preset's own pixels: the
-paper's receiver and our default one. Nothing is fitted.
+(over .94 up to 2.5 kHz) stands the prediction from scanning alone (`static_prediction.py`, stored before this study was
+first run). Rows with ideal edges have pixels without a time constant; they differ in how much later OFF events come
+than ON events, and by how much the scan is stretched beyond what the load explains. Two rows have the preset's own
+pixels: the paper's receiver and our default one. Nothing is fitted.
 Evidence: simulated. MAR_sent (visible), K = 1, one payload (so a receiver that remembers could do well; ours does not).
 """
 
