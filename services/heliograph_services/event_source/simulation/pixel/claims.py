@@ -14,7 +14,7 @@ import numba
 import numpy as np
 
 from heliograph_services.event_source.simulation.contract import BACKGROUND, Floats, Ints
-from heliograph_services.event_source.simulation.pixel.borrow import borrowed
+from heliograph_services.event_source.simulation.pixel.leaf import leaf
 from heliograph_services.event_source.simulation.pixel.model import (
     CLAIMED,
     DEAD,
@@ -58,9 +58,11 @@ RELEASE_US: Final = 20_000.0
 REST: Final = 0.1
 # What is left of a sum of light of which everything was taken away again.
 NOTHING: Final = 1e-12
+# No place in a box.
+DONE: Final = (-1, -1)
 
 
-@numba.njit(nogil=True)
+@leaf
 def _claim(px: Pixels, p: int, past: Past, mine: Indices, n_mine: int) -> int:
     catch_up(px.state, px.law, p, past)
     px.state[p, CLAIMED] = 1.0
@@ -69,7 +71,7 @@ def _claim(px: Pixels, p: int, past: Past, mine: Indices, n_mine: int) -> int:
     return n_mine + 1
 
 
-@numba.njit(nogil=True)
+@leaf
 def _sky(state: Floats, p: int, view: float) -> float:
     """Return exp(view)."""
     if view != state[p, VIEW]:
@@ -77,20 +79,7 @@ def _sky(state: Floats, p: int, view: float) -> float:
     return float(state[p, SKY])
 
 
-@numba.njit(nogil=True)
-def _wait(
-    state: Floats, law: Floats, seed: int, out: Floats, n: int, p: int, t_us: float, view: float, still: bool
-) -> int:
-    """Take a pixel to t_us under the light that it has."""
-    u, light = state[p, U], state[p, LIGHT]
-    if not still:
-        lit = state[p, EXTRA]
-        light = _sky(state, p, view) + lit
-        u = math.log(light) if lit > 0.0 else view
-    return advance(state, law, seed, out, n, p, t_us, u, light, int(state[p, OWNER]))
-
-
-@numba.njit(nogil=True)
+@leaf
 def _touch(
     state: Floats, law: Floats, seed: int, out: Floats, n: int, p: int, i: int, t_us: float, view: float, still: bool,
     old: float, before: float, after: float,
@@ -120,7 +109,7 @@ def _touch(
     return n
 
 
-@numba.njit(nogil=True)
+@leaf
 def _weight(wx: Floats, wy: Floats, box: Indices, column: int, row: int, least: float) -> float:
     if column < box[0] or column >= box[1] or row < box[2] or row >= box[3]:
         return 0.0
@@ -128,7 +117,7 @@ def _weight(wx: Floats, wy: Floats, box: Indices, column: int, row: int, least: 
     return w if w >= least else 0.0
 
 
-@numba.njit(nogil=True)
+@leaf
 def _both(old: Indices, new: Indices) -> tuple[int, int, int, int]:
     """Return the box that holds two boxes; an empty one adds nothing."""
     if old[1] <= old[0] or old[3] <= old[2]:
@@ -138,13 +127,13 @@ def _both(old: Indices, new: Indices) -> tuple[int, int, int, int]:
     return min(old[0], new[0]), max(old[1], new[1]), min(old[2], new[2]), max(old[3], new[3])
 
 
-@numba.njit(nogil=True)
-def _change(
+@leaf
+def _paint(
     px: Pixels, lights: Lights, out: Floats, n: int, i: int, t_us: float, moved: bool, least: float,
     now: tuple[float, float], line: tuple[Floats32, Floats32, float], since: tuple[float, float], past: Past,
-    mine: Indices, n_mine: int, width: int,
-) -> tuple[Floats, int, int]:  # fmt: skip
-    """Bring light i to all pixels of its old and new box; now: its light at the new place before and after t_us."""
+    mine: Indices, n_mine: int, width: int, at: tuple[int, int],
+) -> tuple[int, int, tuple[int, int]]:  # fmt: skip
+    """Bring light i to the pixels of its old and new box, from row and column `at` on, as long as there is room."""
     state, law, seed = px.state, px.law, px.seed
     old_box, old_x, old_y = lights.box[i], lights.wx[i], lights.wy[i]
     new_box, new_x, new_y = old_box, old_x, old_y
@@ -152,30 +141,56 @@ def _change(
         new_box, new_x, new_y = lights.new_box, lights.new_x, lights.new_y
     was, old_least = lights.place[i, NOW], lights.place[i, LEAST]
     before, after = now
-    events = borrowed(out)
     view0, view1, share = line
     x0, x1, y0, y1 = _both(old_box, new_box) if was > 0.0 else _both(new_box, new_box)
-    for row in range(y0, y1):
-        for column in range(x0, x1):
+    row, column = max(at[0], y0), max(at[1], x0)
+    while row < y1:
+        while column < x1:
             w = _weight(new_x, new_y, new_box, column, row, least)
             w_old = w if not moved else _weight(old_x, old_y, old_box, column, row, old_least)
+            p = row * width + column
+            column += 1
             if w == 0.0 and (w_old == 0.0 or was == 0.0):
                 continue
-            p = row * width + column
+            if n + 2 * RESERVE > len(out):
+                return n, n_mine, (row, column - 1)
             if state[p, CLAIMED] == 0.0:
                 n_mine = _claim(px, p, past, mine, n_mine)
-            if n + 2 * RESERVE > len(events):
-                out = grow(out)
-                events = borrowed(out)
-            view = np.float64(view0[p])
-            still = view0[p] == view1[p]
-            if before * w > 0.0 and was * w_old == 0.0 and state[p, T] < since[0]:
-                # It enters the image: until this step began, nothing of it was here.
-                n = _wait(state, law, seed, events, n, p, since[0], view + (view1[p] - view) * since[1], still)
-            if not still:
-                view += (view1[p] - view) * share
-            n = _touch(state, law, seed, events, n, p, i, t_us, view, still, was * w_old, before * w, after * w)
-    return out, n, n_mine
+            old = was * w_old
+            # A pixel that enters the image: until this step began, nothing of it was here.
+            enters = old == 0.0 and before * w > 0.0 and state[p, T] < since[0]
+            for stage in range(0 if enters else 1, 2):
+                at_us, part = since if stage == 0 else (t_us, share)
+                view = np.float64(view0[p])
+                still = view0[p] == view1[p]
+                if not still:
+                    view += (view1[p] - view) * part
+                then, next_ = (before * w, after * w) if stage == 1 else (old, old)
+                n = _touch(state, law, seed, out, n, p, i, at_us, view, still, old, then, next_)
+        row, column = row + 1, x0
+    return n, n_mine, DONE
+
+
+@numba.njit(nogil=True)
+def _change(
+    px: Pixels, lights: Lights, out: Floats, n: int, i: int, t_us: float, moved: bool, least: float,
+    now: tuple[float, float], line: tuple[Floats32, Floats32, float], since: tuple[float, float], past: Past,
+    mine: Indices, n_mine: int, width: int,
+) -> tuple[Floats, int, int]:  # fmt: skip
+    """Bring light i to all pixels of its old and new box.
+
+    If it has `moved`, the scratch holds its weights at the new place, `least` the least of them; `now` is its light
+    there before and after t_us; `line` the views at the interval's ends and how far between them t_us is; `since`, when
+    this step of its motion began, and how far between the ends that is.
+    """
+    at = (0, 0)
+    while True:
+        n, n_mine, at = _paint(
+            px, lights, out, n, i, t_us, moved, least, now, line, since, past, mine, n_mine, width, at
+        )  # fmt: skip
+        if at == DONE:
+            return out, n, n_mine
+        out = grow(out)
 
 
 @numba.njit(nogil=True)
@@ -183,9 +198,12 @@ def _keep(lights: Lights, i: int, x: float, y: float, sigma: float, flux: float,
     place = lights.place[i]
     place[X], place[Y], place[SIGMA], place[FLUX], place[LEAST], place[CHUNK] = x, y, sigma, flux, least, chunk_us
     box = lights.new_box
-    lights.box[i] = box
-    lights.wx[i, : max(0, box[1] - box[0])] = lights.new_x[: max(0, box[1] - box[0])]
-    lights.wy[i, : max(0, box[3] - box[2])] = lights.new_y[: max(0, box[3] - box[2])]
+    for k in range(4):
+        lights.box[i, k] = box[k]
+    for k in range(box[1] - box[0]):
+        lights.wx[i, k] = lights.new_x[k]
+    for k in range(box[3] - box[2]):
+        lights.wy[i, k] = lights.new_y[k]
 
 
 @numba.njit(nogil=True)
@@ -246,6 +264,41 @@ def play(
     return out, n, n_mine
 
 
+@leaf
+def _settle(
+    px: Pixels, out: Floats, n: int, mine: Indices, n_mine: int, view0: Floats32, view1: Floats32, t1_us: float,
+    horizon_us: float, watch: Indices, n_watch: int, at: tuple[int, int],
+) -> tuple[int, int, tuple[int, int]]:  # fmt: skip
+    """Settle the pixels mine[at[0]:], of which those kept go to mine[at[1]:], as long as there is room."""
+    state, law, seed, low, high = px.state, px.law, px.seed, px.low, px.high
+    k, kept = at
+    while k < n_mine and n + RESERVE <= len(out):
+        p = mine[k]
+        k += 1
+        u, light, lit = state[p, U], state[p, LIGHT], state[p, EXTRA]
+        if view0[p] != view1[p]:
+            u = np.float64(view1[p])
+            light = math.exp(u) + lit
+            if lit > 0.0:
+                u = math.log(light)
+        n = advance(state, law, seed, out, n, p, t1_us, u, light, int(state[p, OWNER]))
+        rest = abs(state[p, V] - u) < REST * state[p, ON] and state[p, DEAD] <= t1_us
+        if lit > 0.0 or not (rest or t1_us - state[p, TOUCHED] > RELEASE_US):
+            mine[kept] = p
+            kept += 1
+            continue
+        state[p, CLAIMED] = 0.0
+        state[p, OWNER] = BACKGROUND
+        set_bounds(state, law, low, high, p)
+        above = state[p, REF] + state[p, ON] - law[DRIFT] * horizon_us
+        below = state[p, REF] - state[p, OFF] - law[DRIFT] * t1_us
+        if u >= above or u <= below or state[p, DEAD] > t1_us:
+            if n_watch < len(watch):
+                watch[n_watch] = p
+            n_watch += 1
+    return n, n_watch, (k, kept)
+
+
 @numba.njit(nogil=True)
 def settle(
     px: Pixels, out: Floats, n: int, mine: Indices, n_mine: int, view0: Floats32, view1: Floats32, t1_us: float,
@@ -269,33 +322,9 @@ def settle(
     Returns:
         The events, perhaps elsewhere; how many; how many pixels are claimed; how many to be watched.
     """
-    state, law, seed, low, high = px.state, px.law, px.seed, px.low, px.high
-    kept = 0
-    events = borrowed(out)
-    for k in range(n_mine):
-        p = mine[k]
-        if n + RESERVE > len(events):
-            out = grow(out)
-            events = borrowed(out)
-        u, light, lit = state[p, U], state[p, LIGHT], state[p, EXTRA]
-        if view0[p] != view1[p]:
-            u = np.float64(view1[p])
-            light = math.exp(u) + lit
-            if lit > 0.0:
-                u = math.log(light)
-        n = advance(state, law, seed, events, n, p, t1_us, u, light, int(state[p, OWNER]))
-        rest = abs(state[p, V] - u) < REST * state[p, ON] and state[p, DEAD] <= t1_us
-        if lit > 0.0 or not (rest or t1_us - state[p, TOUCHED] > RELEASE_US):
-            mine[kept] = p
-            kept += 1
-            continue
-        state[p, CLAIMED] = 0.0
-        state[p, OWNER] = BACKGROUND
-        set_bounds(state, law, low, high, p)
-        above = state[p, REF] + state[p, ON] - law[DRIFT] * horizon_us
-        below = state[p, REF] - state[p, OFF] - law[DRIFT] * t1_us
-        if u >= above or u <= below or state[p, DEAD] > t1_us:
-            if n_watch < len(watch):
-                watch[n_watch] = p
-            n_watch += 1
-    return out, n, kept, n_watch
+    at = (0, 0)
+    while True:
+        n, n_watch, at = _settle(px, out, n, mine, n_mine, view0, view1, t1_us, horizon_us, watch, n_watch, at)
+        if at[0] == n_mine:
+            return out, n, at[1], n_watch
+        out = grow(out)

@@ -12,8 +12,8 @@ from heliograph.link.stamp import stamp
 from heliograph_services.event_source.simulation import random
 from heliograph_services.event_source.simulation.contract import HOT_PIXEL, SHOT_NOISE, Floats, Ints, Labels
 from heliograph_services.event_source.simulation.pixel import (
-    borrow,
     claims,
+    leaf,
     model,
     noise,
     order,
@@ -21,7 +21,6 @@ from heliograph_services.event_source.simulation.pixel import (
     spots,
     surroundings,
 )
-from heliograph_services.event_source.simulation.pixel.borrow import borrowed
 from heliograph_services.event_source.simulation.pixel.claims import play, settle
 from heliograph_services.event_source.simulation.pixel.model import Indices, Pixels
 from heliograph_services.event_source.simulation.pixel.noise import sprinkle
@@ -29,44 +28,16 @@ from heliograph_services.event_source.simulation.pixel.order import ordered
 from heliograph_services.event_source.simulation.pixel.spots import Chunk, Lights, instants
 from heliograph_services.event_source.simulation.pixel.surroundings import Past, candidates, look, rebase
 
-_SOURCES: Final = stamp(borrow, claims, model, noise, order, random, response, spots, surroundings)
-
-
-@numba.njit(nogil=True)
-def _pixels(px: Pixels) -> Pixels:
-    return Pixels(borrowed(px.state), borrowed(px.low), borrowed(px.high), borrowed(px.law), px.seed)
-
-
-@numba.njit(nogil=True)
-def _lights(lights: Lights) -> Lights:
-    return Lights(
-        borrowed(lights.place), borrowed(lights.box), borrowed(lights.wx), borrowed(lights.wy),
-        borrowed(lights.new_x), borrowed(lights.new_y), borrowed(lights.new_box),
-    )  # fmt: skip
-
-
-@numba.njit(nogil=True)
-def _chunk(chunk: Chunk) -> Chunk:
-    return Chunk(
-        chunk.t0_us, borrowed(chunk.x_px), borrowed(chunk.y_px), borrowed(chunk.sigma_px), borrowed(chunk.flux_w_m2),
-        borrowed(chunk.edge_first), borrowed(chunk.edge_us), borrowed(chunk.edge_level),
-    )  # fmt: skip
-
-
-@numba.njit(nogil=True)
-def _past(past: Past) -> Past:
-    return Past(borrowed(past.times), borrowed(past.rows), borrowed(past.views))
+_SOURCES: Final = stamp(claims, leaf, model, noise, order, random, response, spots, surroundings)
 
 
 def _entry(sources: int) -> tuple[Any, Any, Any]:
     @numba.njit(cache=True, nogil=True)
     def lit(
-        px_: Pixels, lights_: Lights, chunk_: Chunk, out: Floats, n: int, t0_us: float, t1_us: float, horizon_us: float,
-        past_: Past, row: int, mine_: Indices, n_mine: int, watch_: Indices, n_watch: int,
+        px: Pixels, lights: Lights, chunk: Chunk, out: Floats, n: int, t0_us: float, t1_us: float, horizon_us: float,
+        past: Past, row: int, mine: Indices, n_mine: int, watch: Indices, n_watch: int,
         width: int,
     ) -> tuple[Floats, int, int, int]:  # fmt: skip
-        px, past, lights, chunk = _pixels(px_), _past(past_), _lights(lights_), _chunk(chunk_)
-        mine, watch = borrowed(mine_), borrowed(watch_)
         view0, view1 = past.views[past.rows[len(past.rows) - 1]], past.views[row if sources >= 0 else 0]
         when, who, what = instants(chunk, lights, t0_us - chunk.t0_us, t1_us - chunk.t0_us)
         out, n, n_mine = play(
@@ -76,10 +47,9 @@ def _entry(sources: int) -> tuple[Any, Any, Any]:
 
     @numba.njit(cache=True, nogil=True)
     def unlit(
-        px_: Pixels, out: Floats, n: int, t0_us: float, t1_us: float, until_us: float, base_us: float, search: bool,
-        past_: Past, row: int, watch_: Indices, n_watch: int,
+        px: Pixels, out: Floats, n: int, t0_us: float, t1_us: float, until_us: float, base_us: float, search: bool,
+        past: Past, row: int, watch: Indices, n_watch: int,
     ) -> tuple[Floats, int, int]:  # fmt: skip
-        px, past, watch = _pixels(px_), _past(past_), borrowed(watch_)
         view0, view1 = past.views[past.rows[len(past.rows) - 1]], past.views[row if sources >= 0 else 0]
         if base_us != px.law[model.BASE]:
             rebase(px.state, px.law, px.low, px.high, base_us)
@@ -102,7 +72,7 @@ def _entry(sources: int) -> tuple[Any, Any, Any]:
         kept = begin
         for k in range(begin, n):
             if out[k, 0] >= t0_us:
-                out[kept] = out[k]
+                out[kept, 0], out[kept, 1] = out[k, 0], out[k, 1]
                 kept += 1
         held, t_us, pixel, on, cause = ordered(out, kept, t0_us, t1_us)
         return out, held, t_us, pixel, on, cause

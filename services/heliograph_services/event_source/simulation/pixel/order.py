@@ -13,6 +13,7 @@ import numpy as np
 
 from heliograph.events import Flags
 from heliograph_services.event_source.simulation.contract import Floats, Ints, Labels
+from heliograph_services.event_source.simulation.pixel.leaf import leaf
 from heliograph_services.event_source.simulation.pixel.response import CAUSES, PIXELS, TICKS
 
 BITS: Final = 11
@@ -48,7 +49,7 @@ def _by_time(keys: Ints) -> Ints:
     return words
 
 
-@numba.njit(nogil=True)
+@leaf
 def _break_ties(order: Ints, keys: Ints, pixel: Ints) -> None:
     for k in range(1, len(order)):
         at, j = order[k], k
@@ -87,7 +88,7 @@ def ordered(out: Floats, n: int, t0_us: float, t1_us: float) -> tuple[int, Float
             t_us[at], pixel[at], on[at], cause[at] = out[k, 0], code >> 1, (code & 1) == 1, int(label - CAUSES)
             at += 1
         else:
-            out[held] = out[k]
+            out[held, 0], out[held, 1] = out[k, 0], out[k, 1]
             held += 1
     order = _by_time(keys)
     _break_ties(order, keys, pixel)

@@ -34,6 +34,7 @@ import numba
 import numpy as np
 
 from heliograph_services.event_source.simulation.contract import Floats
+from heliograph_services.event_source.simulation.pixel.leaf import leaf
 from heliograph_services.event_source.simulation.pixel.model import (
     COUNT,
     DEAD,
@@ -59,8 +60,8 @@ from heliograph_services.event_source.simulation.random import normal
 # Events of a pixel between two instants: ln(I) spans 20 at most, a threshold is 0.001 at least but seldom; beyond this,
 # the reference follows at once.
 MOST: Final = 1000
-# Free places that a call of `advance` needs.
-RESERVE: Final = MOST + 24
+# Free places that a call of `advance` needs: a line of input has two pieces.
+RESERVE: Final = 2 * MOST
 # An event is (t_us, code), code = (cause + CAUSES) PIXELS + 2 pixel + on: a whole number below 2^53.
 CAUSES: Final = 16.0
 PIXELS: Final = 4294967296.0
@@ -78,11 +79,13 @@ NEWTON_US: Final = 1e-3
 def grow(out: Floats) -> Floats:
     """Return the events with twice the room."""
     bigger = np.empty((2 * len(out), 2))
-    bigger[: len(out)] = out
+    # Element by element: assigning slices would compile three seconds of error messages.
+    for k in range(len(out)):
+        bigger[k, 0], bigger[k, 1] = out[k, 0], out[k, 1]
     return bigger
 
 
-@numba.njit(nogil=True)
+@leaf
 def write(out: Floats, n: int, t_us: float, pixel: int, on: bool, cause: int) -> int:
     """Write an event; return how many there are now."""
     out[n, 0] = t_us
@@ -90,7 +93,7 @@ def write(out: Floats, n: int, t_us: float, pixel: int, on: bool, cause: int) ->
     return n + 1
 
 
-@numba.njit(nogil=True)
+@leaf
 def emit(state: Floats, law: Floats, seed: int, out: Floats, n: int, p: int, t_us: float, on: bool, cause: int) -> int:
     """Write an event that crossed at t_us; return how many there are now."""
     delay = law[LATENCY] if on else law[LATENCY] + law[LATENCY_OFF]
@@ -105,13 +108,13 @@ def emit(state: Floats, law: Floats, seed: int, out: Floats, n: int, p: int, t_u
     return write(out, n, at, p, on, cause)
 
 
-@numba.njit(nogil=True)
+@leaf
 def fade(x: float) -> float:
     """Return exp(-x), for x at least 0."""
     return math.exp(-x) if x < SETTLED else 0.0
 
 
-@numba.njit(nogil=True)
+@leaf
 def _solve(target: float, low: float, high: float, c: float, m: float, a: float, tau: float) -> float:
     """Return x in [low, high] with c + m x + a exp(-x / tau) = target, on a piece where that is monotone."""
     level = target - c
@@ -144,7 +147,7 @@ def _solve(target: float, low: float, high: float, c: float, m: float, a: float,
     return x
 
 
-@numba.njit(nogil=True)
+@leaf
 def _piece(
     state: Floats, law: Floats, seed: int, out: Floats, n: int, p: int, x: float, end: float, y_end: float, span: float,
     c: float, m: float, a: float, tau: float, cause: int,
@@ -170,21 +173,11 @@ def _piece(
     return n, x
 
 
-@numba.njit(nogil=True)
+@leaf
 def _cross(
-    state: Floats,
-    law: Floats,
-    seed: int,
-    out: Floats,
-    n: int,
-    p: int,
-    span: float,
-    slope: float,
-    a: float,
-    tau: float,
-    decay: float,
-    cause: int,
-) -> int:
+    state: Floats, law: Floats, seed: int, out: Floats, n: int, p: int,
+    span: float, slope: float, a: float, tau: float, decay: float, cause: int,
+) -> int:  # fmt: skip
     """Make the events of a line of input."""
     drift = law[DRIFT]
     t_a = state[p, T]
@@ -195,19 +188,21 @@ def _cross(
         x = state[p, DEAD] - t_a
         alive = min(x, span)
         state[p, REF] = c + m * alive + a * fade(alive / tau)
-    y_end = c + m * span + a * decay
+    end, y_end = span, c + m * span + a * decay
     if m * a > 0.0:
         part = m * tau / a
         if decay < part < 1.0:
-            turn = -tau * math.log(part)
-            n, x = _piece(state, law, seed, out, n, p, x, turn, c + m * (turn + tau), span, c, m, a, tau, cause)
-            x = max(x, turn)
-    if x < span:
-        n, x = _piece(state, law, seed, out, n, p, x, span, y_end, span, c, m, a, tau, cause)
+            end = -tau * math.log(part)
+            y_end = c + m * (end + tau)
+    # One call for both pieces: each is compiled into this function as a whole.
+    while x < span:
+        n, x = _piece(state, law, seed, out, n, p, x, end, y_end, span, c, m, a, tau, cause)
+        x = max(x, end)
+        end, y_end = span, c + m * span + a * decay
     return n
 
 
-@numba.njit(nogil=True)
+@leaf
 def advance(
     state: Floats, law: Floats, seed: int, out: Floats, n: int, p: int, t_us: float, u: float, light: float, cause: int
 ) -> int:
@@ -240,8 +235,10 @@ def advance(
     slope = (u - u_a) / span
     a = v_a - u_a + slope * tau
     decay = fade(span / tau)
-    top = max(v_a, u_a, u) + law[DRIFT] * t_us
-    bottom = min(v_a, u_a, u) + law[DRIFT] * t_a
+    # v goes no further from where it is than this part of the way to where u has been.
+    part = 1.0 - decay
+    top = v_a + part * max(0.0, max(u_a, u) - v_a) + law[DRIFT] * t_us
+    bottom = v_a + part * min(0.0, min(u_a, u) - v_a) + law[DRIFT] * t_a
     ref = state[p, REF]
     if top >= ref + state[p, ON] or bottom <= ref - state[p, OFF] or state[p, DEAD] > t_a:
         n = _cross(state, law, seed, out, n, p, span, slope, a, tau, decay, cause)

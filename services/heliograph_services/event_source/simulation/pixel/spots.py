@@ -21,6 +21,7 @@ import numba
 import numpy as np
 
 from heliograph_services.event_source.simulation.contract import NODE_US, NODES, Floats, Ints
+from heliograph_services.event_source.simulation.pixel.leaf import leaf
 from heliograph_services.event_source.simulation.pixel.model import Floats32, Indices
 
 CUT: Final = 0.01
@@ -90,7 +91,7 @@ def no_lights(count: int, width: int, height: int) -> Lights:
     )  # fmt: skip
 
 
-@numba.njit(nogil=True)
+@leaf
 def _profile(centre: float, sigma: float, size: int, least: float, w: Floats, box: Indices, at: int) -> None:
     """Write the weights of the columns (or rows) of at least `least`, and box[at], box[at + 1]."""
     first = min(max(round(centre), 0), size - 1)
@@ -118,7 +119,7 @@ def _profile(centre: float, sigma: float, size: int, least: float, w: Floats, bo
     box[at], box[at + 1] = first, max(k, first)
 
 
-@numba.njit(nogil=True)
+@leaf
 def _darkest(view: Floats32, width: int, height: int, x: float, y: float, reach: float) -> float:
     """Return the least of nine values of the view about a place."""
     least = np.float32(np.inf)
@@ -136,7 +137,8 @@ def arrange(
 ) -> float:
     """Write the weights of an image at a place into the scratch; return the least w that counts there."""
     least = np.inf
-    lights.new_box[:] = 0
+    for k in range(4):
+        lights.new_box[k] = 0
     if flux > 0.0:
         least = CUT * _darkest(view, width, height, x, y, 2.0 * sigma + 1.0) / flux
         peak = math.erf(0.5 * ROOT_HALF / sigma)
@@ -147,14 +149,14 @@ def arrange(
     return least
 
 
-@numba.njit(nogil=True)
+@leaf
 def at_node(table: Floats, i: int, t: float) -> float:
     """Return a light's number at t (us since the chunk began)."""
     k = min(max(int(t / NODE_US), 0), NODES - 1)
     return float(table[i, k] + (table[i, k + 1] - table[i, k]) * (t / NODE_US - k))
 
 
-@numba.njit(nogil=True)
+@leaf
 def _steps(chunk: Chunk, i: int, k: int) -> int:
     """Return into how many steps the image's motion between node k and the next is cut: 0 if it stands still."""
     dx, dy = chunk.x_px[i, k + 1] - chunk.x_px[i, k], chunk.y_px[i, k + 1] - chunk.y_px[i, k]
@@ -169,14 +171,14 @@ def _steps(chunk: Chunk, i: int, k: int) -> int:
     return min(int(count) + 1, STEPS)
 
 
-@numba.njit(nogil=True)
+@leaf
 def step_us(chunk: Chunk, i: int, t: float) -> float:
     """Return how long the step is that ends at t (us since the chunk began); 0 if nothing moves."""
     count = _steps(chunk, i, min(max(math.ceil(t / NODE_US) - 1, 0), NODES - 1))
     return NODE_US / count if count > 0 else 0.0
 
 
-@numba.njit(nogil=True)
+@leaf
 def _walk(chunk: Chunk, i: int, a: float, b: float, to_end: bool, when: Floats, what: Floats, n: int) -> int:
     """Write the steps of a lit light in (a, b) (us since the chunk began), one at b too if asked; return the count."""
     for k in range(int(a / NODE_US), min(math.ceil(b / NODE_US), NODES)):
@@ -218,6 +220,7 @@ def instants(chunk: Chunk, lights: Lights, t0: float, t1: float) -> tuple[Floats
             e += 1
         if level > 0.0:
             n = _walk(chunk, i, since, t1, True, when, what, n)
-        who[begin:n] = i
+        for k in range(begin, n):
+            who[k] = i
     order = np.argsort(when[:n], kind="mergesort")
     return when[order], who[order], what[order]

@@ -17,7 +17,7 @@ import numba
 import numpy as np
 
 from heliograph_services.event_source.simulation.contract import BACKGROUND, LEAK, Floats, Ints
-from heliograph_services.event_source.simulation.pixel.borrow import borrowed
+from heliograph_services.event_source.simulation.pixel.leaf import leaf
 from heliograph_services.event_source.simulation.pixel.model import (
     BASE,
     CLAIMED,
@@ -68,7 +68,7 @@ class Past(NamedTuple):
     views: Tables
 
 
-@numba.njit(nogil=True)
+@leaf
 def set_bounds(state: Floats, law: Floats, low: Floats32, high: Floats32, p: int) -> None:
     """Write what u + drift (t - BASE) must stay between for the pixel to sleep."""
     if state[p, DEAD] > state[p, T]:
@@ -79,7 +79,7 @@ def set_bounds(state: Floats, law: Floats, low: Floats32, high: Floats32, p: int
     low[p] = ref - state[p, OFF] + MARGIN
 
 
-@numba.njit(nogil=True)
+@leaf
 def rebase(state: Floats, law: Floats, low: Floats32, high: Floats32, t_us: float) -> None:
     """Let all bounds refer to t_us: float32 would lose what an hour's drift adds."""
     law[BASE] = t_us
@@ -88,7 +88,7 @@ def rebase(state: Floats, law: Floats, low: Floats32, high: Floats32, t_us: floa
             set_bounds(state, law, low, high, p)
 
 
-@numba.njit(nogil=True)
+@leaf
 def candidates(
     law: Floats, low: Floats32, high: Floats32, view0: Floats32, view1: Floats32, t0_us: float, t1_us: float,
     out: Indices,
@@ -117,7 +117,7 @@ def candidates(
     return found
 
 
-@numba.njit(nogil=True)
+@leaf
 def catch_up(state: Floats, law: Floats, p: int, past: Past) -> None:
     """Bring a sleeping pixel to the last time of the past."""
     times, rows, views = past.times, past.rows, past.views
@@ -151,20 +151,39 @@ def catch_up(state: Floats, law: Floats, p: int, past: Past) -> None:
     state[p, U], state[p, LIGHT], state[p, T] = u_b, light, now
 
 
-@numba.njit(nogil=True)
+@leaf
 def _along(
     state: Floats, law: Floats, seed: int, out: Floats, n: int, p: int, t_us: float, u: float, cause: int
 ) -> int:
     """Take a pixel along a straight line to u, in pieces over which tau may be taken as constant."""
     t_a, u_a = state[p, T], state[p, U]
-    if u == u_a:
-        return advance(state, law, seed, out, n, p, t_us, u, state[p, LIGHT], cause)
     pieces = min(int(abs(u - u_a) / PIECE) + 1, PIECES)
-    for k in range(1, pieces):
+    for k in range(1, pieces + 1):
         part = k / pieces
-        between = u_a + (u - u_a) * part
-        n = advance(state, law, seed, out, n, p, t_a + (t_us - t_a) * part, between, math.exp(between), cause)
-    return advance(state, law, seed, out, n, p, t_us, u, math.exp(u), cause)
+        at, to = (t_a + (t_us - t_a) * part, u_a + (u - u_a) * part) if k < pieces else (t_us, u)
+        light = math.exp(to) if to != u_a else state[p, LIGHT]
+        n = advance(state, law, seed, out, n, p, at, to, light, cause)
+    return n
+
+
+@leaf
+def _look(
+    px: Pixels, out: Floats, n: int, found: Indices, k: int, count: int, t1_us: float, view1: Floats32, past: Past
+) -> tuple[int, int]:  # fmt: skip
+    state, law, low, high, seed = px.state, px.law, px.low, px.high, px.seed
+    while k < count and n + PIECES * RESERVE <= len(out):
+        p = found[k]
+        k += 1
+        # A claimed pixel's bounds are infinite, and only a claimed one's like this.
+        if high[p] == np.inf or state[p, T] >= t1_us:
+            continue
+        catch_up(state, law, p, past)
+        u = np.float64(view1[p])
+        still = u == state[p, U]
+        cause = LEAK if still and abs(state[p, V] - u) < STILL else BACKGROUND
+        n = _along(state, law, seed, out, n, p, t1_us, u, cause)
+        set_bounds(state, law, low, high, p)
+    return k, n
 
 
 @numba.njit(nogil=True)
@@ -186,19 +205,9 @@ def look(
     Returns:
         The events, perhaps elsewhere, and how many there are.
     """
-    state, law, low, high, seed = px.state, px.law, px.low, px.high, px.seed
-    events = borrowed(out)
-    for k in range(count):
-        p = found[k]
-        if state[p, CLAIMED] > 0.0 or state[p, T] >= t1_us:
-            continue
-        if n + PIECES * RESERVE > len(events):
-            out = grow(out)
-            events = borrowed(out)
-        catch_up(state, law, p, past)
-        u = np.float64(view1[p])
-        still = u == state[p, U]
-        cause = LEAK if still and abs(state[p, V] - u) < STILL else BACKGROUND
-        n = _along(state, law, seed, events, n, p, t1_us, u, cause)
-        set_bounds(state, law, low, high, p)
-    return out, n
+    k = 0
+    while True:
+        k, n = _look(px, out, n, found, k, count, t1_us, view1, past)
+        if k == count:
+            return out, n
+        out = grow(out)
