@@ -1,7 +1,7 @@
 """A scene made from physics: lights and surroundings (`world`, `lights`, `ground`), pixels, read-out; and its truth.
 
-`contract.py` says what the parts tell each other, `stream.py` ties them together. docs/simulation.md has the laws, their
-sources, and what it has been tested against.
+`contract.py` says what the parts tell each other, `stream.py` ties them together. docs/simulation.md has the laws and
+their sources, docs/trust.md what they have been tested against.
 """
 
 from __future__ import annotations
