@@ -4,27 +4,40 @@ A *good* character has the right start, parity and stop bits, decided on likelih
 bits at the right clock, eleven bits in a row are one with the chance 2^-4; after idle time of any length with 2^-3,
 since the idle bits may be chosen. A run of good characters is worth the product; the track is a text beacon when it
 falls below 1e-12 (ten characters one right after another: 16^-10 = 9e-13), so that the chance stays below 1e-10 a bit
-position although a run may begin at any of several sub-bins. A periodic signal is no news, however long: a lamp, or a
-cyclic code (`seed11` at the same bit rate), reads as one character or two for ever, and as others while its phase
-slips. So of the last twelve characters of the run eight must differ from the four before them. Until all that holds,
-characters are held back; then they are released at once.
+position although a run may begin at any of several sub-bins.
+
+A slow light is another matter: where it seldom changes, stop bits are right by themselves (a lamp that goes on and off
+at random, 12 ms each on average, made 30 good characters in a row at 1000 bit/s). So a run is also weighed against
+the chain of bits that suits it best: bit b follows bit a with the chance p_ab, taken from the run's own n_ab (start to
+last stop bit, k characters)::
+
+    worth = m ln 2 + min(k ln 8, sum_ab n_ab ln(1 / p_ab) - k ln 128),    p_ab = n_ab / (n_a0 + n_a1)
+
+with m characters one right after another. The first in the brackets is the rule above; the second is the likelihood
+ratio of "any of 128 characters" to the best chain, never more than to the true one: any such source exceeds 1e12 with
+a chance of at most 1e-12 (Ville's inequality). Busy text loses next to nothing by it.
+
+A periodic signal is no news, however long: a lamp, or a cyclic code (`seed11` at the same bit rate), reads as one
+character or two for ever, and as others while its phase slips. So of the last twelve characters of the run eight must
+differ from the four before them. Until all that holds, characters are held back; then they are released at once.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from itertools import pairwise
 from math import exp, log
 from typing import Final
 
 from heliograph.errors import Refusal, Refusals
 from heliograph.link.contract import Identity, LinkFrame, Text, Verdict
 from heliograph.link.uart_follow import Decision
-from heliograph.link.uart_layout import CHARACTER_BITS, TIME_FILL
+from heliograph.link.uart_layout import CHARACTER_BITS, CHARACTERS, TIME_FILL, character_bits
 from heliograph.units import US_PER_S
 
 WORTH_NEEDED: Final = log(1e12)
-WORTH: Final = log(16.0)
-WORTH_AFTER_IDLE: Final = log(8.0)
+WORTH: Final = log(8.0)  # of a good character whose start is given
+WORTH_AT_ONCE: Final = log(2.0)  # more, if it starts right after the one before
 # Square waves of 50 to 150 Hz, read at 504 to 5000 bit/s for 20 s, show at most 5 of 12; of the windows of an English
 # text 97 % show 8 or more.
 NEWS_NEEDED: Final = 8
@@ -53,9 +66,51 @@ NEW_CHARACTERS: Final = 64
 IDLE_SUPPORT_US: Final = 60 * US_PER_S
 
 
+def _steps_of(code: int) -> tuple[int, ...]:
+    bits = character_bits(code)
+    pairs = [2 * a + b for a, b in pairwise(bits)]
+    return tuple(pairs.count(pair) for pair in range(4))
+
+
+# How often 00, 01, 10 and 11 follow each other in each character.
+STEPS: Final = tuple(_steps_of(code) for code in range(CHARACTERS))
+
+
 def probability(margin: float) -> float:
     """Return the chance that a character with this margin (nats to the runner-up) is right."""
     return 1.0 / (1.0 + exp(-min(max(margin, 0.0), 700.0)))
+
+
+class RunWorth:
+    """What a run of good characters is worth as a witness of text, in nats (see the module)."""
+
+    def __init__(self) -> None:
+        self._characters = 0
+        self._at_once = 0
+        self._steps = [0, 0, 0, 0]
+
+    def add(self, code: int, *, after_idle: bool) -> None:
+        """Take the run's next character."""
+        self._characters += 1
+        self._at_once += not after_idle
+        self._steps = [n + more for n, more in zip(self._steps, STEPS[code], strict=True)]
+
+    @property
+    def most(self) -> float:
+        """What the run would be worth among random bits at the right clock."""
+        return self._at_once * WORTH_AT_ONCE + self._characters * WORTH
+
+    @property
+    def value(self) -> float:
+        """The worth of the run; it may be negative."""
+        n00, n01, n10, n11 = self._steps
+        chain = _surprise(n00, n01) + _surprise(n10, n11) - self._characters * log(CHARACTERS)
+        return min(self.most, self._at_once * WORTH_AT_ONCE + chain)
+
+
+def _surprise(n: int, m: int) -> float:
+    """Return the nats of n and m things in a given order, their shares taken from themselves."""
+    return sum(k * log((n + m) / k) for k in (n, m) if k)
 
 
 class TextIdentity:
@@ -74,7 +129,7 @@ class TextIdentity:
         self._support_us: int | None = None  # end of the newest good character, or of the idle time after it
         self._spoken_us: int | None = None  # end of the newest good character
         self._held: deque[LinkFrame] = deque()
-        self._worth = 0.0
+        self._worth = RunWorth()
         self._run: deque[int] = deque(maxlen=NEWS_OF)
         self._frames = 0
         self._margin = 0.0
@@ -103,13 +158,13 @@ class TextIdentity:
             self._good(decision, decision.code, end_us)
         else:
             self._score = max(self._score - LOSS, SCORE_MIN)
-            self._worth = 0.0
+            self._worth = RunWorth()
             self._run.clear()
         if decision.code is None:
             return []
         self._held.append(LinkFrame(end_us, decision.code, chance, decision.margin))
         if not self.accepted:
-            if self._worth < WORTH_NEEDED or self._news() < NEWS_NEEDED:
+            if self._worth.value < WORTH_NEEDED or self._news() < NEWS_NEEDED:
                 self._let_go()
                 return []
             self._since_us = end_us
@@ -126,7 +181,8 @@ class TextIdentity:
     def _let_go(self) -> None:
         if len(self._held) > HELD_MAX:
             self._held.popleft()
-            self._refusals[Refusal.PERIODIC if self._worth >= WORTH_NEEDED else Refusal.WEAK] += 1
+            is_periodic = self._worth.most >= WORTH_NEEDED and self._news() < NEWS_NEEDED
+            self._refusals[Refusal.PERIODIC if is_periodic else Refusal.WEAK] += 1
 
     def _news(self) -> int:
         """Return how many of the run's last characters differ from those shortly before them."""
@@ -135,7 +191,7 @@ class TextIdentity:
 
     def _good(self, decision: Decision, code: int, end_us: int) -> None:
         self._score = min(self._score + GAIN, SCORE_MAX)
-        self._worth += WORTH_AFTER_IDLE if decision.after_idle else WORTH
+        self._worth.add(code, after_idle=decision.after_idle)
         self._run.append(code)
         self._frames += 1
         self._margin += decision.margin
@@ -155,7 +211,7 @@ class TextIdentity:
         """Take the identity back, and begin anew."""
         self._since_us = None
         self._held.clear()
-        self._worth = 0.0
+        self._worth = RunWorth()
         self._run.clear()
         self._frames = 0
         self._margin = 0.0
