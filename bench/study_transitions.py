@@ -44,12 +44,13 @@ which agrees with what was measured before. Their spread depends on what one cal
 edge sd 455 / 485 us and 85 / 80 us; over whole transitions about 1000 and 255 us; the 285 and 72 us measured before
 came without their definition, the second is near ours of the first bit, the first is not. At 504 bit/s the response is
 a plateau of some 700 us (every pixel fires as often as it can), then an exponential of about 600 us; at 3125 bit/s the
-plateau outlasts three bits. OFF's mean is 44 and 38 us later. (1), (2) and (3) came as predicted: 12 to 61 events, sd
-5 to 38 us within the first bit. The numbers of events are the laws' but for pixels that a step barely takes over their
-threshold (17 seen of 24: eight of them see a step of .202 at thresholds of .2 +/- .03). So the presets do not resemble
-these recordings: ten times fewer events, ten to fifty times less spread; what is simulated with them is easier in
-timing and harder in the number of events than what these cameras saw. (4) holds of the presets and not of the
-recordings. Nothing in the files tells whether it is their pixels' bandwidth, their LED, or the size of the image.
+plateau outlasts three bits. OFF's mean is 44 and 38 us later. (1) and (3) came as predicted: 12 to 61 events, the laws'
+but for pixels that a step barely takes over their threshold (17 seen of 24: eight of them see a step of .202 at
+thresholds of .2 +/- .03). (2) too: widths of 11 to 65 us (13 to 51 predicted); within the first bit of 504 bit/s sd is
+up to 38 us, not 5, for a stray event of noise now and then. So the presets do not resemble these recordings: 4 to 32
+times fewer events, 11 to 180 times narrower; what is simulated with them is easier in timing and harder in the number
+of events than what that camera saw. (4) holds of the presets, not of the recordings. Nothing in the files tells
+whether it is that camera's bandwidth, the LED, or the size of its image.
 Evidence: recording (development data) and simulated.
 """
 
