@@ -1,8 +1,9 @@
 """The flow network: what a tick costs beside a dense convolution, and how well it tells motion beside others.
 
-Cost: 640 x 480, clustered active pixels (fronts of 8 pixels that move across themselves by a pixel a tick), one thread;
-median of the ticks after those that fill the history. Dense is one torch convolution of the last 11 images, 11 channels
-to 32. Every runtime must fire as many spikes. The pyramid is timed whole, by its process's time, on a whole sensor.
+Cost: 640 x 480, one thread; active pixels in clusters (blobs: patches of 16 x 16 that move) or all over the frame
+(fronts: bars of 8 pixels that move across themselves); median and least of the ticks after those that fill the history.
+Dense is one torch convolution of the last 11 images, 11 channels to 32. Every runtime must fire as many spikes. The
+pyramid is timed whole, by its process's time, on a whole sensor.
 
 Accuracy: ideal pixels (`tests/support/flow_scenes.py`), 160 x 120 cut out of a 640 x 480 sensor with uniform noise:
 blinking discs (radius 4 px, 1 kbit/s), a textured ground, stripes across the motion. Every 20 ms of the second part,
@@ -66,6 +67,20 @@ def fronts(n: int, ticks: int, seed: int) -> Iterator[tuple[Any, Any]]:
         yield cells % WIDTH, cells // WIDTH
 
 
+def blobs(n: int, ticks: int, seed: int) -> Iterator[tuple[Any, Any]]:
+    """Yield columns and rows of about n active pixels a tick: patches of 16 x 16, four fifths active, that move."""
+    rng = np.random.default_rng(seed)
+    share = -np.log1p(-n / (WIDTH * HEIGHT) / 0.8) if n < 200_000 else 1.0
+    at = rng.integers(0, [WIDTH, HEIGHT], (round(WIDTH * HEIGHT * share / 256), 2))
+    patch = np.stack(np.meshgrid(np.arange(16), np.arange(16)), axis=-1).reshape(-1, 2)
+    for _ in range(ticks):
+        at = (at + 1) % (WIDTH, HEIGHT)
+        x, y = ((at[:, None] + patch) % (WIDTH, HEIGHT)).reshape(-1, 2).T
+        cells = np.unique(y * WIDTH + x)
+        cells = cells[rng.random(len(cells)) < 0.8]
+        yield cells % WIDTH, cells // WIDTH
+
+
 class Dense:
     """One convolution of the last 11 images by torch; l_tau = 0."""
 
@@ -102,9 +117,13 @@ def cost(seed: int = 1, ticks: int = 40) -> list[dict[str, Any]]:
         "torch_dense": lambda: Dense(network),
     }
     rows = []
-    for n in (1_000, 10_000, 100_000):
-        frames = list(fronts(n, ticks, seed))
-        row: dict[str, Any] = {"active_pixels": round(statistics.mean(len(x) for x, _ in frames)), "seed": seed}
+    for n, corpus in itertools.product((1_000, 10_000, 100_000), (blobs, fronts)):
+        frames = list(corpus(n, ticks, seed))
+        row: dict[str, Any] = {
+            "corpus": corpus.__name__,
+            "active_pixels": round(statistics.mean(len(x) for x, _ in frames)),
+            "seed": seed,
+        }
         spikes = {}
         for name, make in makers.items():
             runtime, took, counts = make(), [], []
@@ -204,7 +223,7 @@ def makers() -> dict[str, list[tuple[dict[str, Any], Callable[[FlowScene], Any]]
         return lambda scene: PlaneFlow(settings, **geometry(scene))
 
     def centroid(extra: float, ticks: int) -> Callable[[FlowScene], Any]:
-        return lambda scene: CentroidFlow(scene.centres(0.0), scene.radius_px + extra, ticks)
+        return lambda scene: CentroidFlow(scene.centres, scene.radius_px + extra, ticks)
 
     orchard = itertools.product((0.0, 0.5), (5.0, 10.0), ((0, 1.0), (3, 0.005)))
     planes = itertools.product((2, 3), (6.0, 10.0), (0.5, 1.5))
@@ -232,11 +251,13 @@ def applies(method: str, scene: FlowScene) -> bool:
     return method != "centroid" or scene.kind == "discs"
 
 
-def tuned() -> dict[str, tuple[dict[str, Any], Callable[[FlowScene], Any]]]:
+def tuned(names: list[str]) -> dict[str, tuple[dict[str, Any], Callable[[FlowScene], Any]]]:
     """Return the best candidate of each method on the tuning scenes."""
     out = {}
     recorded = list(scenes(TUNE_SEEDS, (40.0, 160.0, 640.0), (0.0, 2e6)))
     for method, candidates in makers().items():
+        if method not in names:
+            continue
         best = (np.inf, candidates[0])
         for candidate in candidates if len(candidates) > 1 else []:
             mean = statistics.mean(
@@ -251,9 +272,9 @@ def tuned() -> dict[str, tuple[dict[str, Any], Callable[[FlowScene], Any]]]:
     return out
 
 
-def accuracy() -> dict[str, Any]:
-    """Return the tuned settings and a row for each kind, speed, noise and method."""
-    methods = tuned()
+def accuracy(names: list[str], before: dict[str, Any]) -> dict[str, Any]:
+    """Return the tuned settings and a row for each kind, speed, noise and method; methods not named as before."""
+    methods = tuned(names)
     gathered: dict[tuple[str, float, float, str], list[tuple[list[float], list[float], float, float]]] = {}
     for scene, onsets in scenes(SEEDS, SPEEDS, NOISES):
         for name, (_, make) in methods.items():
@@ -261,7 +282,7 @@ def accuracy() -> dict[str, Any]:
                 angles, errors, took = ask(scene, onsets, make(scene))
                 key = (scene.kind, scene.speed_px_s, scene.noise_hz, name)
                 gathered.setdefault(key, []).append((angles, errors, took, onsets[-1].t1_us * 1e-6))
-    rows = []
+    rows = [row for row in before.get("rows", []) if row["method"] not in names]
     for (kind, speed, noise, method), parts in gathered.items():
         angles = [a for part in parts for a in part[0]]
         errors = [e for part in parts for e in part[1]]
@@ -279,7 +300,12 @@ def accuracy() -> dict[str, Any]:
                 "core": round(sum(part[2] for part in parts) / sum(part[3] for part in parts), 4),
             }
         )
-    return {"seeds": SEEDS, "tuning_seeds": TUNE_SEEDS, "tuned": {m: s for m, (s, _) in methods.items()}, "rows": rows}
+    return {
+        "seeds": SEEDS,
+        "tuning_seeds": TUNE_SEEDS,
+        "tuned": before.get("tuned", {}) | {m: s for m, (s, _) in methods.items()},
+        "rows": rows,
+    }
 
 
 def table(result: dict[str, Any]) -> None:
@@ -322,6 +348,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cost", action="store_true")
     parser.add_argument("--accuracy", action="store_true")
+    parser.add_argument("--methods", default=",".join(makers()), help="of the accuracy; others keep their stored rows")
     parser.add_argument("--plot", type=Path, help="draw the stored accuracy to this file")
     args = parser.parse_args()
     result = json.loads(RESULT.read_text()) if RESULT.exists() else {}
@@ -330,7 +357,11 @@ def main() -> None:
     if args.cost or every:
         result["cost"] = {**machine, "ticks": cost(), "pyramid": pyramid_cost()}
     if args.accuracy or every:
-        result["accuracy"] = {**machine, "evidence": "simulated, ideal pixels", **accuracy()}
+        result["accuracy"] = {
+            **machine,
+            "evidence": "simulated, ideal pixels",
+            **accuracy(args.methods.split(","), result.get("accuracy", {})),
+        }
     if args.cost or args.accuracy or every:
         RESULT.write_text(json.dumps(result, indent=1) + "\n")
     if "accuracy" in result:

@@ -10,11 +10,13 @@ synaptic delays, eight directions, leaky; a place has the velocity of its neuron
 by its neurons alone, without what we add (arrival times); whether it gets our gate and our onsets is tuned.
 
 **Centroid**: the mean place of the events on the disc, centred on itself tick by tick, and the slope of a line through
-the last of them. It is told where the disc was at first, and of textures it says nothing.
+the last of them. It is told where the disc is at first, and again whenever it has lost it (discs leave and come back),
+so it is a bound on what following can do; of textures it says nothing.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -126,20 +128,23 @@ class CentroidFlow:
     """Follows discs from where they were at first.
 
     Args:
-        places: (n, 2) first centres.
+        places: the (n, 2) true centres of a time in s.
         radius_px: events this near count.
         ticks: of the line.
     """
 
-    def __init__(self, places: Any, radius_px: float, ticks: int) -> None:
-        self._radius, self._ticks = radius_px, ticks
-        self._paths: list[list[tuple[float, float, float]]] = [[(0.0, x, y)] for x, y in places]
+    def __init__(self, places: Callable[[float], Any], radius_px: float, ticks: int) -> None:
+        self._places, self._radius, self._ticks = places, radius_px, ticks
+        self._paths: list[list[tuple[float, float, float]]] = [[(0.0, x, y)] for x, y in places(0.0)]
 
     def feed(self, onsets: Onsets) -> None:
         t_s = (onsets.t0_us + onsets.t1_us) / 2e6
         x, y = onsets.x_px.astype(np.float64), onsets.y_px.astype(np.float64)
         weight = onsets.on_count.astype(np.float64) + onsets.off_count
-        for path in self._paths:
+        for path, (tx, ty) in zip(self._paths, self._places(t_s), strict=True):
+            if np.hypot(path[-1][1] - tx, path[-1][2] - ty) > 3 * self._radius:
+                path[:] = [(t_s, tx, ty)]
+                continue
             vx, vy = _slope(path[-self._ticks :])
             last_s, cx, cy = path[-1]
             cx, cy = cx + vx * (t_s - last_s), cy + vy * (t_s - last_s)
