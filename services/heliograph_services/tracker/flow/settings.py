@@ -39,8 +39,8 @@ class FlowSettings:
         scales: the networks. The default three see 240 to 1200, 80 to 400 and 16 to 80 px/s: a network covers 5 to 1,
             and 20 to 1000 are asked for. The fastest step is the event source's default tick; pooling by 4 there would
             reach 1600, but lose texture finer than that.
-        l_tau: the network's memory. With .5 the errors are about the same (a little more on discs and edges, a little less
-            on slow texture); 0 runs several times as fast.
+        l_tau: the network's memory. With .5 the errors are about the same (a little more on discs and edges, a little
+            less on slow texture); 0 runs several times as fast.
         v_th: the paper's threshold.
         silence_ticks: a pixel is an input when it was silent for so many ticks before; 0 feeds every active tick, as
             the paper does. An edge takes 2.5 ticks to cross a pixel at the lowest speed. With 10, the next edge of a
