@@ -33,8 +33,8 @@ bit_rate = 1000
 path = { kind = "still", at_m = [0, 0, 0] }
 """
 SHIPPED = {
-    "clutter", "construction_site", "construction_site_nrp", "construction_site_sun", "crowd", "empty", "five",
-    "handheld", "lab_moving", "lab_moving_16mm", "lab_static", "night", "spin", "still",
+    "clutter", "construction_site", "construction_site_nrp", "construction_site_sun", "construction_site_sun_moving",
+    "crowd", "empty", "five", "handheld", "lab_moving", "lab_moving_16mm", "lab_static", "night", "spin", "still",
 }  # fmt: skip
 
 
