@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from heliograph_services.event_source.simulation.output.record import Recorded
 
 IMAGES_HZ_MAX: Final = 10_000.0
-_ABOUT_WIDTH: Final = 92
+_ABOUT_WIDTH: Final = 90
 
 
 def parser() -> argparse.ArgumentParser:
@@ -25,7 +25,7 @@ def parser() -> argparse.ArgumentParser:
     made = argparse.ArgumentParser(
         prog="heliograph simulate",
         description="Make a recording (NPZ) of a simulated scene, with its truth.",
-        epilog="built-in scenarios:\n" + "\n".join(f"  {name:<24}{about}" for name, about in built_in()),
+        epilog="built-in scenarios:\n" + _table(list(built_in())),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     made.add_argument("scenario", metavar="SCENARIO", help="built-in scenario (below) or a scenario file (TOML)")
@@ -96,6 +96,11 @@ def summary(recorded: Recorded) -> str:
     sensor = f"{made.sensor.name} {made.mode}".strip()
     told = f"fidelity {made.fidelity}, sensor {sensor}, seed {made.seed}"
     return f"{what}, {recorded.frames} frames sent, stream {made.stream}, {told}"
+
+
+def _table(rows: list[tuple[str, str]]) -> str:
+    width = max(len(name) for name, _ in rows) + 2
+    return "\n".join(f"  {name:<{width}}{about}" for name, about in rows)
 
 
 def built_in() -> Iterator[tuple[str, str]]:
