@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import textwrap
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from heliograph_services.event_source.simulation.output.record import Recorded
 
 IMAGES_HZ_MAX: Final = 10_000.0
-_ABOUT_WIDTH: Final = 90
+_COLUMNS: Final = 80  # of a terminal
 
 
 def parser() -> argparse.ArgumentParser:
@@ -100,7 +101,10 @@ def summary(recorded: Recorded) -> str:
 
 def _table(rows: list[tuple[str, str]]) -> str:
     width = max(len(name) for name, _ in rows) + 2
-    return "\n".join(f"  {name:<{width}}{about}" for name, about in rows)
+    return "\n".join(
+        textwrap.fill(about, _COLUMNS, initial_indent=f"  {name:<{width}}", subsequent_indent=" " * (width + 2))
+        for name, about in rows
+    )
 
 
 def built_in() -> Iterator[tuple[str, str]]:
@@ -110,8 +114,7 @@ def built_in() -> Iterator[tuple[str, str]]:
         if entry.name.endswith(".toml"):
             about = str(tomllib.loads(entry.read_text(encoding="utf-8")).get("about", ""))
             words = " ".join(about.split()).partition(". ")[0].rstrip(".")
-            short = words if len(words) <= _ABOUT_WIDTH else words[: _ABOUT_WIDTH - 3].rsplit(" ", 1)[0] + "..."
-            yield entry.name.removesuffix(".toml"), short.replace("%", "%%")
+            yield entry.name.removesuffix(".toml"), words.replace("%", "%%")
 
 
 @contextmanager
