@@ -2,11 +2,12 @@
 
 A published frame f and a sent frame s of the same protocol *match*, one to one, where::
 
-    |t_f - t1_s| <= (t1_s - t0_s) / 2      and      |p_f - p_s| <= max(5 px, radius of the blob)
+    |t_f - t1_s| <= (t1_s - t0_s) / 2      and      |p_f - p_s(t_f)| <= max(5 px, radius of the blob)
 
-nearest in time first, then in place. A matched frame is right if its payload is the one sent, else wrong; a published
-frame without a match is an insertion. A sent frame counts for MAR if it begins at least max(0.5 s, 5 frames) after the
-beacon's visible (or viewed) interval, and for BAR in the same case.
+with p_s(t_f) the beacon's place at the time that the published frame gives its own place for (at 50 bit/s and 100 px/s
+it moves 11 px in half a frame); nearest in time first, then in place. A matched frame is right if its payload is the
+one sent, else wrong; a published frame without a match is an insertion. A sent frame counts for MAR if it begins at
+least max(0.5 s, 5 frames) after the beacon's visible (or viewed) interval, and for BAR in the same case.
 
 Sent frames of one second of camera time are matched at a time; a published frame may match across the border. So the
 counts depend on the messages, not on the order of their arrival.
@@ -187,7 +188,8 @@ class Scorer:
             last = bisect_right(times, frame.t1_us + frame.half_us)
             for j in range(first, last):
                 other = received[j]
-                away_px = hypot(other.x_px - frame.x_px, other.y_px - frame.y_px)
+                x_px, y_px = self._place(frame.beacon, other.t_us) or (frame.x_px, frame.y_px)
+                away_px = hypot(other.x_px - x_px, other.y_px - y_px)
                 if other.protocol == frame.protocol and not other.matched and away_px <= frame.gate_px:
                     pairs.append((abs(other.t_us - frame.t1_us), away_px, i, j))
         partner: dict[int, Received] = {}
@@ -261,17 +263,18 @@ class Scorer:
         joins = i > 0 and self._windows[i - 1].t1_us == self._windows[i].t0_us
         return self._windows[i], self._windows[i - 1] if joins else None
 
+    def _place(self, beacon: str, t_us: int) -> tuple[float, float] | None:
+        """Return where a beacon was at a time, or None where the truth of that time is not known."""
+        window, before = self._window(t_us)
+        if window is None or beacon not in window.beacon:
+            return None
+        return _between(window, before, window.beacon.index(beacon), t_us)
+
     def _near(self, state: Identification, window: Truth, before: Truth | None) -> list[str]:
         """Return the beacons in view at the place of an identification."""
-        span = window.t1_us - window.t0_us
-        share = 1.0 if before is None or span == 0 else (state.t_us - window.t0_us) / span
-        was = {} if before is None else {name: i for i, name in enumerate(before.beacon)}
         near = []
         for i, name in enumerate(window.beacon):
-            x_px, y_px = window.x_px[i], window.y_px[i]
-            if before is not None and name in was:
-                x_px = before.x_px[was[name]] + share * (x_px - before.x_px[was[name]])
-                y_px = before.y_px[was[name]] + share * (y_px - before.y_px[was[name]])
+            x_px, y_px = _between(window, before, i, state.t_us)
             is_near = hypot(state.x_px - x_px, state.y_px - y_px) <= max(GATE_PX, window.radius_px[i])
             if window.in_view[i] and is_near and name in self.presences.beacons:
                 near.append(name)
@@ -289,6 +292,17 @@ class Scorer:
             and state.protocol == presence.protocol
             and state.payload == presence.payload
         )
+
+
+def _between(window: Truth, before: Truth | None, i: int, t_us: int) -> tuple[float, float]:
+    """Return where beacon i of a window was at a time in it: on a straight line from its place in the window before."""
+    x_px, y_px = window.x_px[i], window.y_px[i]
+    span = window.t1_us - window.t0_us
+    if before is None or span == 0 or window.beacon[i] not in before.beacon:
+        return x_px, y_px
+    was = i if before.beacon[i : i + 1] == [window.beacon[i]] else before.beacon.index(window.beacon[i])
+    share = (t_us - window.t0_us) / span
+    return before.x_px[was] + share * (x_px - before.x_px[was]), before.y_px[was] + share * (y_px - before.y_px[was])
 
 
 def _visible_since(presence: Presence, t_us: int) -> int | None:
