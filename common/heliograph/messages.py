@@ -31,6 +31,8 @@ Positive = Annotated[float, Meta(ge=0.0, le=1e12)]
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 # The widest payload of any modulation is 32 bits; 63 leave room for what is to come (msgspec checks no wider bound).
 Payload = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+# "seed11/42": the longest protocol's name, a stroke and nineteen digits fit.
+Token = Annotated[str, Meta(min_length=1, max_length=80)]
 StatusWord = Literal["new", "valid", "invalid"]
 Change = Literal["accepted", "changed", "refreshed", "lost"]
 Bearing = tuple[Finite, Finite, Finite]
@@ -78,9 +80,11 @@ def same_length(record: msgspec.Struct, *columns: str) -> int:
 class Tracks(Message, frozen=True, kw_only=True):
     """All tracks of a camera at one instant; a track that is missing has ended.
 
-    `period_us` is the tracker's period: the next message is for as_of_us + period_us. `seen_us` is the time of the
-    last target assigned to the track, `born_us` of its first event. Position, velocity and variance are the Kalman
-    state at as_of_us; `radius_px` covers nine tenths of the target's pixels; `polarity` is the mean of +1 and -1.
+    `period_us` is the tracker's period: messages are sent for its multiples and, live, between them for the moment at
+    which a track is born or names change. `seen_us` is the time of the last target assigned to the track, `born_us`
+    of its first event. Position, velocity and their covariance (the axes are independent: P_xx, P_xv, P_vv of x, then
+    of y) are the Kalman state at as_of_us; `radius_px` covers nine tenths of the target's pixels; `polarity` is the
+    mean of +1 and -1.
     """
 
     SCHEMA: ClassVar[str] = "tracks"
@@ -94,7 +98,12 @@ class Tracks(Message, frozen=True, kw_only=True):
     y_px: list[Finite]
     vx_px_s: list[Finite]
     vy_px_s: list[Finite]
-    var_px2: list[Positive]
+    x_var_px2: list[Positive]
+    x_vx_cov_px2_s: list[Finite]
+    vx_var_px2_s2: list[Positive]
+    y_var_px2: list[Positive]
+    y_vy_cov_px2_s: list[Finite]
+    vy_var_px2_s2: list[Positive]
     radius_px: list[Positive]
     size_px: list[Positive]
     polarity: list[Annotated[float, Meta(ge=-1.0, le=1.0)]]
@@ -112,7 +121,12 @@ class Tracks(Message, frozen=True, kw_only=True):
 
 
 class Status(Message, frozen=True, kw_only=True):
-    """What the decoder thinks of each track at one instant; `accepted_us` is the last accepted frame's end or -1."""
+    """What the decoder thinks of each track at one instant.
+
+    `accepted_us` is the last accepted frame's end or -1. `identity` is a token of the identity that the decoder holds
+    for the track, None without: equal tokens are, as far as the code can tell, the same beacon. Nothing else may be
+    read from it.
+    """
 
     SCHEMA: ClassVar[str] = "status"
     camera: Name
@@ -120,9 +134,10 @@ class Status(Message, frozen=True, kw_only=True):
     track: list[Name]
     status: list[StatusWord]
     accepted_us: list[TimeUs]
+    identity: list[Token | None]
 
     def __post_init__(self) -> None:
-        same_length(self, "track", "status", "accepted_us")
+        same_length(self, "track", "status", "accepted_us", "identity")
 
     @property
     def time_us(self) -> int:

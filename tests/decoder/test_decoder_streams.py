@@ -240,7 +240,9 @@ def absurd(as_of_us: int, **columns: list[float]) -> Tracks:
     filled = {name: (column * n)[:n] for name, column in row.items()}
     return Tracks(
         camera="cam0", as_of_us=as_of_us, period_us=100_000, track=[f"x-{i}" for i in range(n)],
-        born_us=[-(2**53)] * n, seen_us=[2**53] * n, var_px2=[1e12] * n, size_px=[0.0] * n, polarity=[0.0] * n,
+        born_us=[-(2**53)] * n, seen_us=[2**53] * n, x_var_px2=[1e12] * n, y_var_px2=[1e12] * n,
+        x_vx_cov_px2_s=[-1e12] * n, vx_var_px2_s2=[1e12] * n, y_vy_cov_px2_s=[1e12] * n, vy_var_px2_s2=[1e12] * n,
+        size_px=[0.0] * n, polarity=[0.0] * n,
         status=["valid"] * n, **filled,
     )  # fmt: skip
 

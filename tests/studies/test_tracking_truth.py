@@ -105,8 +105,9 @@ def test_failures_are_kept_and_short_glimpses_are_not_held_against_the_tracker()
 def test_published_tracks_become_a_sample() -> None:
     tracks = Tracks(
         camera="cam0", as_of_us=100_000, period_us=100_000, track=["x-1"], born_us=[0], seen_us=[95_000],
-        x_px=[1.0], y_px=[2.0], vx_px_s=[0.0], vy_px_s=[0.0], var_px2=[1.0], radius_px=[3.0], size_px=[20.0],
-        polarity=[0.0], status=["new"],
+        x_px=[1.0], y_px=[2.0], vx_px_s=[0.0], vy_px_s=[0.0], x_var_px2=[1.0], x_vx_cov_px2_s=[0.0],
+        vx_var_px2_s2=[1.0], y_var_px2=[1.0], y_vy_cov_px2_s=[0.0], vy_var_px2_s2=[1.0], radius_px=[3.0],
+        size_px=[20.0], polarity=[0.0], status=["new"],
     )  # fmt: skip
     found = sample(tracks, 120_000)
     assert (found.t_us, found.track, found.xy_px.tolist(), found.published_us) == (

@@ -114,7 +114,14 @@ def outcome(each: Crossing, **settings: object) -> str:
             published.append(m)
             words = ["valid"] * len(m.track)
             core.feed(
-                Status(camera="cam0", as_of_us=m.as_of_us, track=m.track, status=words, accepted_us=[0] * len(m.track))  # type: ignore[arg-type]
+                Status(
+                    camera="cam0",
+                    as_of_us=m.as_of_us,
+                    track=m.track,
+                    status=words,  # type: ignore[arg-type]
+                    accepted_us=[0] * len(words),
+                    identity=[None] * len(words),
+                )
             )
     apart = [m for m in published if abs(m.as_of_us / 1e6 - each.half_s) > each.overlap_s / 2 + 0.05]
     before = [m for m in apart if m.as_of_us / 1e6 < each.half_s]

@@ -78,7 +78,7 @@ def test_columns_tell_place_size_and_uncertainty(two: list[Onsets]) -> None:
     assert last.vx_px_s == pytest.approx([0, 50], abs=5)
     assert last.size_px == pytest.approx([29, 29], abs=3)  # pixels of a disc of radius 3
     assert last.radius_px == pytest.approx([3.3, 3.3], abs=0.5)
-    assert all(0 < v < 1 for v in last.var_px2)
+    assert all(0 < v < 1 for v in last.x_var_px2 + last.y_var_px2)
     assert all(-1 <= p <= 1 for p in last.polarity)
 
 
@@ -111,7 +111,9 @@ def test_a_camera_of_one_pixel_is_one_track_from_the_first_message_on() -> None:
 def test_the_one_pixel_track_outlives_silence_and_an_invalid_verdict() -> None:
     core = new_core()
     feed(core, [silence(0, 100_000, side=1)])
-    core.feed(Status(camera="cam0", as_of_us=100_000, track=["b00t-0"], status=["invalid"], accepted_us=[-1]))
+    core.feed(
+        Status(camera="cam0", as_of_us=100_000, track=["b00t-0"], status=["invalid"], accepted_us=[-1], identity=[None])
+    )
     out = feed(core, [silence(100_000, 9_000_000, side=1)])
     assert out[-1].track == ["b00t-0"]
     assert out[-1].status == ["invalid"]
@@ -161,7 +163,9 @@ def test_a_jump_yields_one_message_and_ends_what_is_too_old(two: list[Onsets], g
 def test_a_valid_track_coasts_through_a_jump_shorter_than_its_patience(two: list[Onsets]) -> None:
     core = new_core()
     feed(core, [m for m in two if m.t1_us <= 900_000])
-    core.feed(Status(camera="cam0", as_of_us=900_000, track=["b00t-1"], status=["valid"], accepted_us=[1]))
+    core.feed(
+        Status(camera="cam0", as_of_us=900_000, track=["b00t-1"], status=["valid"], accepted_us=[1], identity=[None])
+    )
     out = feed(core, [silence(2_400_000, 2_500_000)])
     assert [m.track for m in out] == [["b00t-1"], ["b00t-1"]]
     assert out[0].x_px[0] == pytest.approx(200 + 50 * 2.4, abs=3)
@@ -182,7 +186,7 @@ def test_messages_of_another_camera_or_geometry_are_refused(two: list[Onsets]) -
     other, wider = changed(two[10], camera="cam9"), changed(two[10], width=640)
     assert feed(core, [other, wider]) == []
     assert core.refusals == {Refusal.OTHER_CAMERA: 1, Refusal.OTHER_GEOMETRY: 1}
-    core.feed(Status(camera="cam9", as_of_us=0, track=[], status=[], accepted_us=[]))
+    core.feed(Status(camera="cam9", as_of_us=0, track=[], status=[], accepted_us=[], identity=[]))
     assert core.refusals[Refusal.OTHER_CAMERA] == 2
 
 

@@ -28,7 +28,7 @@ def test_damaged_onsets_and_statuses_never_raise_and_the_stream_goes_on() -> Non
     core = make_core(TrackerConfig(max_tracks=8), Context("0", "b00t", False))
     onsets = list(SCENE.onsets(1.0))
     status = Status(
-        camera="cam0", as_of_us=500_000, track=["b00t-0"], status=["invalid"], accepted_us=[-1]
+        camera="cam0", as_of_us=500_000, track=["b00t-0"], status=["invalid"], accepted_us=[-1], identity=["seed11/42"]
     )  # fmt: skip
     read = 0
     for i, sound in enumerate(onsets):
@@ -52,7 +52,9 @@ def test_damaged_onsets_and_statuses_never_raise_and_the_stream_goes_on() -> Non
 
 def test_lockstep_takes_damaged_statuses_too() -> None:
     core = make_core(TrackerConfig(), Context("0", "b00t", True))
-    status = Status(camera="cam0", as_of_us=0, track=["scene-0"], status=["valid"], accepted_us=[-1])
+    status = Status(
+        camera="cam0", as_of_us=0, track=["scene-0"], status=["valid"], accepted_us=[-1], identity=["seed11/42"]
+    )
     for i, sound in enumerate(SCENE.onsets(0.5)):
         for payload in mutations(status, 20, seed=i):
             outcome = unpack(payload)

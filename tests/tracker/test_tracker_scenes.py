@@ -82,6 +82,7 @@ def test_a_valid_beacon_keeps_its_name_through_half_a_second_of_occlusion() -> N
                     track=m.track,
                     status=["valid"] * len(m.track),
                     accepted_us=[0] * len(m.track),
+                    identity=[None] * len(m.track),
                 )
             )
     assert is_one_track_a_beacon(score(scene, out), 1)
@@ -153,5 +154,5 @@ def test_positions_are_as_certain_as_they_say() -> None:
     ratio = []
     for m in follow(scene, 3.0)[1][5:]:
         x, y = scene.discs[0].path(m.as_of_us / 1e6)
-        ratio.append(((m.x_px[0] - x) ** 2 + (m.y_px[0] - y) ** 2) / (2 * m.var_px2[0]))
+        ratio.append(((m.x_px[0] - x) ** 2 + (m.y_px[0] - y) ** 2) / (m.x_var_px2[0] + m.y_var_px2[0]))
     assert np.mean(ratio) < 2.0

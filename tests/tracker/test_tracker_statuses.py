@@ -21,6 +21,7 @@ def word(as_of_us: int, status: StatusWord, *names: str) -> Status:
         track=list(names),
         status=[status] * len(names),
         accepted_us=[-1] * len(names),
+        identity=[None] * len(names),
     )
 
 

@@ -169,6 +169,7 @@ class Publisher:
             track=[name for name, _, _ in rows],
             status=[word for _, word, _ in rows],
             accepted_us=[t_us for _, _, t_us in rows],
+            identity=[None] * len(rows),
         )
 
 

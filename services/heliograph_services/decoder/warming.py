@@ -40,6 +40,8 @@ def warm_all() -> None:
 def _tracks(as_of_us: int) -> Tracks:
     return Tracks(
         camera="cam0", as_of_us=as_of_us, period_us=100_000, track=["a", "b"], born_us=[0, 0], seen_us=[0, 0],
-        x_px=[3.5, 11.5], y_px=[3.5, 11.5], vx_px_s=[0.0, 0.0], vy_px_s=[0.0, 0.0], var_px2=[1.0, 1.0],
+        x_px=[3.5, 11.5], y_px=[3.5, 11.5], vx_px_s=[0.0, 0.0], vy_px_s=[0.0, 0.0],
+        x_var_px2=[1.0, 1.0], x_vx_cov_px2_s=[0.0, 0.0], vx_var_px2_s2=[1.0, 1.0],
+        y_var_px2=[1.0, 1.0], y_vy_cov_px2_s=[0.0, 0.0], vy_var_px2_s2=[1.0, 1.0],
         radius_px=[1.0, 1.0], size_px=[2.0, 2.0], polarity=[0.0, 0.0], status=["new", "new"],
     )  # fmt: skip

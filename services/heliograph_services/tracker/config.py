@@ -18,6 +18,8 @@ Shape = Literal["distinct", "paper"]
 Cost = Literal["l2", "l1"]
 Clustering = Literal["grid", "scikit-learn"]
 Kalman = Literal["batched", "filterpy"]
+Flow = Literal["none", "numba", "torch"]
+Prediction = Literal["none", "centroid", "flow", "both"]
 
 _Time = Annotated[int, Meta(ge=0, le=60_000_000)]
 _Pixels = Annotated[int, Meta(ge=1, le=1_000_000)]
@@ -76,6 +78,12 @@ class TrackerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     ] = 30_000
 
     # -- motion --
+    flow: Annotated[Flow, Meta(description="who runs the flow network; torch needs heliograph[reference]")] = "none"
+    # None: tracks stay where they were seen. Centroid: the filter's own velocity. Flow: the network's alone, the
+    # paper's. Both: the filter's, with the network's at births and while a track is not seen.
+    prediction: Annotated[
+        Prediction, Meta(description="what moves a track between sightings: nothing, its own past, the flow, or both")
+    ] = "centroid"
     # 2 s^2 tau for accelerations of s = 210 px/s2 held for tau = .1 s. Bridging 200 ms of darkness leaves 5 px of
     # uncertainty. More follows tight turns better (30,000: .28 for .44 px at 1070 px/s2), but beacons that cross then
     # swap their names (twenty at 200 px/s: 6 swaps in 12 s for none); the decoder centres its regions itself.

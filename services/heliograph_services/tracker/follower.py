@@ -177,8 +177,8 @@ class GridFollower:
     def snapshot(self, at_us: int) -> Snapshot:
         """Return the published tracks, extrapolated; changes nothing."""
         rows = np.flatnonzero(self._alive(at_us) & self.table.named)
-        state, var_px2 = self._extrapolated(at_us)
-        return self.table.snapshot(rows, state[rows], var_px2[rows])
+        state, cov = self._extrapolated(at_us)
+        return self.table.snapshot(rows, state[rows], cov[rows])
 
     @property
     def quarantined(self) -> int:
@@ -198,10 +198,10 @@ class GridFollower:
         return alive
 
     def _extrapolated(self, at_us: int) -> tuple[Floats, Floats]:
-        """Return (n, 4) states and (n,) mean variances of the two axes at a time after the last window."""
+        """Return (n, 4) states and (n, 6) covariances at a time after the last window."""
         state, cov = self.table.state.copy(), self.table.cov.copy()
         self._filters.predict(state, cov, (at_us - self._at_us) / US_PER_S, self._config.process_noise_px2_s3)
-        return state, (cov[:, 0] + cov[:, 3]) / 2
+        return state, cov
 
     def _predict(self, to_us: int) -> None:
         if len(self.table):

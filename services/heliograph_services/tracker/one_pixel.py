@@ -47,7 +47,12 @@ class OnePixelFollower:
             vx_px_s=[0.0],
             vy_px_s=[0.0],
             # Uniform over the pixel.
-            var_px2=[round(1 / 12, 3)],
+            x_var_px2=[round(1 / 12, 3)],
+            x_vx_cov_px2_s=[0.0],
+            vx_var_px2_s2=[0.0],
+            y_var_px2=[round(1 / 12, 3)],
+            y_vy_cov_px2_s=[0.0],
+            vy_var_px2_s2=[0.0],
             radius_px=[0.5],
             size_px=[1.0],
             polarity=[self._polarity],

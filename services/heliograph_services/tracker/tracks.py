@@ -36,7 +36,12 @@ class Snapshot:
     y_px: list[float]
     vx_px_s: list[float]
     vy_px_s: list[float]
-    var_px2: list[float]
+    x_var_px2: list[float]
+    x_vx_cov_px2_s: list[float]
+    vx_var_px2_s2: list[float]
+    y_var_px2: list[float]
+    y_vy_cov_px2_s: list[float]
+    vy_var_px2_s2: list[float]
     radius_px: list[float]
     size_px: list[float]
     polarity: list[float]
@@ -158,10 +163,13 @@ class TrackTable:
                 self.invalid_us[i] = at_us
             self.status[i] = code
 
-    def snapshot(self, rows: Longs, state: Floats, var_px2: Floats) -> Snapshot:
-        """Return some rows with the states given for them, rounded to a thousandth, by rising number."""
+    def snapshot(self, rows: Longs, state: Floats, cov: Floats) -> Snapshot:
+        """Return some rows with the states given for them, rounded to a thousandth, by rising number.
+
+        Covariances are rounded to a tenth of that: those of a track long seen are a few hundredths.
+        """
         order = np.argsort(self.number[rows])
-        rows, state, var_px2 = rows[order], np.round(state[order], 3) + 0.0, np.round(var_px2[order], 3)
+        rows, state, cov = rows[order], np.round(state[order], 3) + 0.0, np.round(cov[order], 4) + 0.0
         return Snapshot(
             number=self.number[rows].tolist(),
             born_us=self.born_us[rows].tolist(),
@@ -170,7 +178,12 @@ class TrackTable:
             y_px=state[:, 1].tolist(),
             vx_px_s=state[:, 2].tolist(),
             vy_px_s=state[:, 3].tolist(),
-            var_px2=var_px2.tolist(),
+            x_var_px2=cov[:, 0].tolist(),
+            x_vx_cov_px2_s=cov[:, 1].tolist(),
+            vx_var_px2_s2=cov[:, 2].tolist(),
+            y_var_px2=cov[:, 3].tolist(),
+            y_vy_cov_px2_s=cov[:, 4].tolist(),
+            vy_var_px2_s2=cov[:, 5].tolist(),
             radius_px=np.round(self.radius_px[rows], 3).tolist(),
             size_px=np.round(self.size_px[rows], 3).tolist(),
             polarity=(np.round(self.polarity[rows], 3) + 0.0).tolist(),
