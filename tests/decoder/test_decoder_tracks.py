@@ -15,6 +15,7 @@ from heliograph.messages import Data, Frames, Identification, Link, Message, Sta
 from heliograph.site import Beacon
 from heliograph_services.decoder.config import DecoderConfig
 from heliograph_services.decoder.core import DecoderCore
+from heliograph_services.decoder.links import LinkPlan
 from support.blinkers import (
     FRAME_US,
     Disc,
@@ -320,3 +321,24 @@ def test_one_pixel_hears_everything() -> None:
     assert decoder.counters["events"] == len(batch)
     assert [one.beacon for one in states(out, "accepted")] == ["crane"]
     assert {(one.x_px, one.y_px) for one in states(out)} == {(0.0, 0.0)}
+
+
+def test_a_status_says_by_a_token_who_a_track_is_held_for() -> None:
+    # Two links of one protocol: payload 5 at 100 and at 200 bit/s are two beacons.
+    read, dark = Disc(5, still(100, 100)), Disc(5, still(300, 300), lit_us=(0, 0))
+    batch = scene([read, dark], 0, 400_000, WIDTH, HEIGHT)
+    rows = [("a-0", read, 0), ("a-1", dark, 0)]
+    told = [(t + 20_000, tracks(t, rows)) for t in range(0, 400_000, 100_000)]
+    twin = Beacon(name="twin", protocol="pulse", payload=5, bit_rate=200)
+    for beacons, token in (((CRANE,), "pulse/5"), ((CRANE, twin), "pulse.0/5")):
+        out = run(core(*beacons), batch, told, 400_000)
+        statuses = {
+            one.as_of_us: dict(zip(one.track, one.identity, strict=True)) for one in out if isinstance(one, Status)
+        }
+        assert statuses[400_000] == {"a-0": token, "a-1": None}
+        assert set(statuses[100_000].values()) <= {None, token}
+
+
+def test_text_has_no_token() -> None:
+    plan = LinkPlan(DecoderConfig(protocol="uart"))
+    assert plan.token(0, None) is None

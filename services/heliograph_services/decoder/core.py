@@ -25,7 +25,7 @@ from heliograph.streams import Events
 from heliograph_services.decoder.config import AUTO, DecoderConfig
 from heliograph_services.decoder.following import Following
 from heliograph_services.decoder.links import Accepted, Decided, LinkPlan, Measure, ModulationOf
-from heliograph_services.decoder.publish import BearingOf, FrameRow, Publisher
+from heliograph_services.decoder.publish import BearingOf, FrameRow, Publisher, StatusRow
 from heliograph_services.decoder.regions import Place
 from heliograph_services.decoder.schedule import Schedule
 from heliograph_services.decoder.stream import EventStream, Window, fault
@@ -295,9 +295,14 @@ class DecoderCore:
         if last or now_us % SECOND_US == 0:
             out += self._quality(following, now_us)
         if last or now_us % self._config.tracker_period_us == 0:
-            rows = [(track.name, track.links.verdict(now_us), track.frame_us) for track in following.tracks]
+            rows = [self._status(track, now_us) for track in following.tracks]
             out.append(self._publisher.status(rows, now_us))
         return out
+
+    def _status(self, track: Track, now_us: int) -> StatusRow:
+        held = track.held
+        token = self._plan.token(held.link, held.identity.payload) if held is not None else None
+        return StatusRow(track.name, track.links.verdict(now_us), track.frame_us, token)
 
     def _quality(self, following: Following, now_us: int) -> list[Message]:
         out: list[Message] = []

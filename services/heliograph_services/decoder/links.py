@@ -116,6 +116,18 @@ class LinkPlan:
         """Return the name of the listed beacon that sends this payload on this link."""
         return self._names.get((self.rows[link].key, payload)) or None
 
+    def token(self, link: int, payload: int | None) -> str | None:
+        """Return what tells this identity from every other one that the site can read; None for text, which has none.
+
+        PROTOCOL/PAYLOAD; where several links speak one protocol, their number follows the protocol's name.
+        """
+        if payload is None:
+            return None
+        protocol = self.rows[link].key.protocol
+        alike = [i for i, row in enumerate(self.rows) if row.key.protocol == protocol]
+        number = f".{alike.index(link)}" if len(alike) > 1 else ""
+        return f"{protocol}{number}/{payload}"
+
     def name(self, link: int, payload: int | None) -> str:
         """Return what the beacon is called: its name, PROTOCOL:PAYLOAD, or PROTOCOL alone for text."""
         protocol = self.rows[link].key.protocol

@@ -39,6 +39,16 @@ def nats(value: float) -> float:
 
 
 @dataclass(frozen=True, slots=True)
+class StatusRow:
+    """What there is to say of a track: name, word, end of the last frame or -1, token of its identity."""
+
+    track: str
+    word: StatusWord
+    frame_us: int
+    identity: str | None
+
+
+@dataclass(frozen=True, slots=True)
 class FrameRow:
     """A frame of a track, ready to be published."""
 
@@ -161,15 +171,15 @@ class Publisher:
             mar_estimate=None if quality.mar_estimate is None else share(quality.mar_estimate),
         )
 
-    def status(self, rows: list[tuple[str, StatusWord, int]], as_of_us: int) -> Status:
-        """Return the statuses (name, word, end of the last frame or -1) of all tracks."""
+    def status(self, rows: list[StatusRow], as_of_us: int) -> Status:
+        """Return the statuses of all tracks."""
         return Status(
             camera=self._camera,
             as_of_us=as_of_us,
-            track=[name for name, _, _ in rows],
-            status=[word for _, word, _ in rows],
-            accepted_us=[t_us for _, _, t_us in rows],
-            identity=[None] * len(rows),
+            track=[row.track for row in rows],
+            status=[row.word for row in rows],
+            accepted_us=[row.frame_us for row in rows],
+            identity=[row.identity for row in rows],
         )
 
 
