@@ -39,6 +39,7 @@ from heliograph_services.tracker.clustering import Active
 from heliograph_services.tracker.config import TrackerConfig
 from heliograph_services.tracker.core import COUNTERS, warm
 from heliograph_services.tracker.follower import GridFollower, Numbers
+from heliograph_services.tracker.motion import NoMotion
 from heliograph_services.tracker.reference import kalman as reference
 from heliograph_services.tracker.windows import Window
 
@@ -168,7 +169,7 @@ def windows(rng: np.random.Generator, runs: int) -> None:
     for config in (FAST, SLOW):
         many = TrackerConfig(clustering=config.clustering, kalman=config.kalman, max_tracks=2 * TRACKS)
         follower = GridFollower(
-            many, backends.chosen(many), width=1280, height=720, pool_px=1, window_us=WINDOW_US,
+            many, backends.chosen(many), NoMotion(), width=1280, height=720, pool_px=1, window_us=WINDOW_US,
             numbers=Numbers(), counters=dict.fromkeys(COUNTERS, 0), refusals=Counter(),
         )  # fmt: skip
         for index in range(NAMED_AFTER):

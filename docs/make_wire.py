@@ -23,7 +23,7 @@ from msgspec import Meta
 ROOT: Final = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from heliograph import streams, truth  # noqa: E402
+from heliograph import flow, streams, truth  # noqa: E402
 from heliograph.keys import ROOT as KEY_ROOT  # noqa: E402
 from heliograph.keys import TOPICS, key_of  # noqa: E402
 from heliograph.messages import Message  # noqa: E402
@@ -40,6 +40,7 @@ SENDERS: Final = {
     "truth": "event_source (simulated)",
     "image": "event_source (simulated)",
     "tracks": "tracker",
+    "flow": "tracker (flow_samples above 0)",
     "progress": "every service that paces a source",
     "health": "every service",
     "metrics": "metrics_sink",
@@ -55,12 +56,13 @@ CHUNKS: Final = {
     "health": "{service}/{instance}",
     "live": "{service}/{instance}",
 }
-RESERVED: Final = ("flow", "clock", "beacon")
+RESERVED: Final = ("clock", "beacon")
 # What travels as packed arrays checks its body by a record of its own.
 BODIES: Final[dict[str, type[msgspec.Struct]]] = {
     "events": streams._EventsBody,  # noqa: SLF001 - the page documents just this
     "onsets": streams._OnsetsBody,  # noqa: SLF001
     "image": streams._ImageBody,  # noqa: SLF001
+    "flow": flow._FlowBody,  # noqa: SLF001
     "truth": truth._TruthBody,  # noqa: SLF001
 }
 

@@ -25,7 +25,7 @@ import msgpack
 import msgspec
 from msgspec import Meta
 
-from heliograph import messages, streams
+from heliograph import flow, messages, streams
 from heliograph.errors import Refusal
 from heliograph.messages import TIME_LIMIT_US, Message
 
@@ -48,6 +48,7 @@ SCHEMAS: Final[dict[str, type[Message]]] = {
         messages.Health,
         messages.Metrics,
         messages.Clock,
+        flow.Flow,
     )
 }
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from heliograph.events import EventBatch
+from heliograph.flow import Flow
 from heliograph.messages import (
     Clock,
     Data,
@@ -151,6 +152,22 @@ def every_record() -> list[Message]:
         ),
         Clock(camera="cam0", t_us=1_000_000, offset_us=1_700_000_000_000_000, drift_ppm=12.5, uncertainty_us=150.0),
         Image(camera="cam0", stream="5eed", t_us=1000, grey=np.array([[0, 100, 255], [7, 7, 7]], np.uint8)),
+        Flow(
+            camera="cam0",
+            as_of_us=100_000,
+            period_us=100_000,
+            confidence=0.75,
+            vx_px_s=201.5,
+            vy_px_s=-3.25,
+            omega_rad_s=0.5,
+            zoom_s=-0.0625,
+            centre_x_px=319.5,
+            centre_y_px=239.5,
+            x_px=np.array([17, 639], np.uint16),
+            y_px=np.array([479, 4], np.uint16),
+            sample_vx_px_s=np.array([198, -7], np.int16),
+            sample_vy_px_s=np.array([0, 410], np.int16),
+        ),
         Truth(
             camera="cam0",
             t0_us=0,

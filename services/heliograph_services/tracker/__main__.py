@@ -13,7 +13,7 @@ from heliograph_services.tracker.config import TrackerConfig
 def _make(config: TrackerConfig, context: Context) -> Core:
     from heliograph_services.tracker.core import make_core, warm  # noqa: PLC0415 - numba, not needed for --help
 
-    warm(config.clustering, config.kalman)
+    warm(config.clustering, config.kalman, config.flow)
     return make_core(config, context)
 
 

@@ -1,4 +1,4 @@
-"""Who clusters and who filters: tables of (module, attribute), imported only when chosen.
+"""Who clusters, who filters and who runs the flow network: tables of (module, attribute), imported only when chosen.
 
 The fast ones are the default. The reference ones are other people's libraries behind the same interface: they are
 witnesses, and what a tracker runs on where the card's own stack is asked for.
@@ -14,8 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from heliograph.errors import ConfigError
+from heliograph.streams import Onsets
 from heliograph_services.tracker.clustering import Active, Ints
 from heliograph_services.tracker.config import TrackerConfig
+from heliograph_services.tracker.motion import Motion
 
 Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
@@ -28,6 +30,13 @@ CLUSTERINGS: Final[dict[str, tuple[str, str]]] = {
 FILTERS: Final[dict[str, str]] = {
     "batched": f"{_HERE}.kalman",
     "filterpy": f"{_HERE}.reference.kalman",
+}
+
+# Who runs the flow network; its module's `make` returns the motion of a stream.
+FLOWS: Final[dict[str, str]] = {
+    "none": f"{_HERE}.motion",
+    "numba": f"{_HERE}.network_motion",
+    "torch": f"{_HERE}.reference.flow",
 }
 
 
@@ -65,12 +74,21 @@ class Filters(Protocol):
         ...
 
 
+class MakesMotion(Protocol):
+    """Returns what is known of velocities in a stream."""
+
+    def __call__(self, config: TrackerConfig, first: Onsets) -> Motion:
+        """Return it for the stream that these onsets are the first of."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class Backends:
     """What a tracker computes with."""
 
     clustering: MakesClustering
     filters: Filters
+    motion: MakesMotion
 
 
 def chosen(config: TrackerConfig) -> Backends:
@@ -82,7 +100,8 @@ def chosen(config: TrackerConfig) -> Backends:
     module, attribute = CLUSTERINGS[config.clustering]
     clustering = getattr(_module(module, f"clustering = {config.clustering!r}"), attribute)
     filters = _module(FILTERS[config.kalman], f"kalman = {config.kalman!r}")
-    return Backends(cast("MakesClustering", clustering), cast("Filters", filters))
+    motion = getattr(_module(FLOWS[config.flow], f"flow = {config.flow!r}"), "make")  # noqa: B009 - of any module
+    return Backends(cast("MakesClustering", clustering), cast("Filters", filters), cast("MakesMotion", motion))
 
 
 def _module(name: str, setting: str) -> object:

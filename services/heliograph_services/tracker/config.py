@@ -19,6 +19,7 @@ Cost = Literal["l2", "l1"]
 Clustering = Literal["grid", "scikit-learn"]
 Kalman = Literal["batched", "filterpy"]
 Flow = Literal["none", "numba", "torch"]
+FlowReading = Literal["scales", "paper"]
 Prediction = Literal["none", "centroid", "flow", "both"]
 
 _Time = Annotated[int, Meta(ge=0, le=60_000_000)]
@@ -84,6 +85,16 @@ class TrackerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     prediction: Annotated[
         Prediction, Meta(description="what moves a track between sightings: nothing, its own past, the flow, or both")
     ] = "centroid"
+    # Three scales, and the paper read literally: one network of full resolution, a tick a period, every active pixel.
+    flow_reading: Annotated[
+        FlowReading, Meta(description="how the network is used: at our scales, or as the paper says it")
+    ] = "scales"
+    # 0 leaves the memory out, runs several times as fast and errs no more (flow/README.md); the paper has one.
+    flow_l_tau: Annotated[float, Meta(ge=0.0, le=0.99, description="the network's memory, l(tau)")] = 0.0
+    # 8 bytes a sample: 50 of them at 10 Hz take 5 kB/s.
+    flow_samples: Annotated[
+        int, Meta(ge=0, le=1000, description="samples in each record on flow/{camera}; 0: no records")
+    ] = 0
     # 2 s^2 tau for accelerations of s = 210 px/s2 held for tau = .1 s. Bridging 200 ms of darkness leaves 5 px of
     # uncertainty. More follows tight turns better (30,000: .28 for .44 px at 1070 px/s2), but beacons that cross then
     # swap their names (twenty at 200 px/s: 6 swaps in 12 s for none); the decoder centres its regions itself.
@@ -133,6 +144,8 @@ class TrackerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     def __post_init__(self) -> None:
         if self.min_pixels > self.max_pixels:
             raise ConfigError(f"min_pixels must be at most max_pixels = {self.max_pixels}, not {self.min_pixels}")
+        if self.flow == "none" and self.prediction in ("flow", "both"):
+            raise ConfigError(f"prediction = {self.prediction!r} needs flow = 'numba' or 'torch', not 'none'")
         if self.quarantine_us > self.quarantine_max_us:
             raise ConfigError(
                 f"quarantine_us must be at most quarantine_max_us = {self.quarantine_max_us}, not {self.quarantine_us}"

@@ -14,6 +14,7 @@ that may or may not have come by then is used. Live, a status is used when it co
 from __future__ import annotations
 
 from collections import Counter, deque
+from importlib import import_module
 from typing import Final
 
 import numpy as np
@@ -24,8 +25,9 @@ from heliograph.messages import Message, Status, Tracks
 from heliograph.streams import Onsets
 from heliograph.units import US_PER_S
 from heliograph_services.tracker import backends
-from heliograph_services.tracker.config import Clustering, Kalman, TrackerConfig
+from heliograph_services.tracker.config import Clustering, Flow, Kalman, TrackerConfig
 from heliograph_services.tracker.follower import Follower, GridFollower, Numbers
+from heliograph_services.tracker.motion import Motion
 from heliograph_services.tracker.one_pixel import OnePixelFollower
 from heliograph_services.tracker.windows import Cutter
 
@@ -140,6 +142,7 @@ class TrackerCore:
             stream = self._open(onsets)
         self._refused_in_row = 0
         out = self._jump(stream, onsets.t0_us) if onsets.t0_us - stream.until_us > JUMP_US else []
+        stream.motion.feed(onsets)
         for window in stream.cutter.cut(onsets):
             out += self._passed(stream, window.end_us - 1)
             self._judge(stream, window.start_us)
@@ -148,7 +151,7 @@ class TrackerCore:
         stream.until_us = onsets.t1_us
         stream.ended = onsets.end
         out += self._passed(stream, onsets.t1_us)
-        return out
+        return out + stream.motion.take()
 
     def _unsound(self, onsets: Onsets) -> Refusal | None:
         """Return why these onsets cannot be used in any stream, or None."""
@@ -173,6 +176,7 @@ class TrackerCore:
         self._statuses = deque(early, STATUSES_LIMIT)
         ticks = max(1, config.cluster_window_us // onsets.tick_us)
         cutter = Cutter(onsets.tick_us, ticks, ENTRIES_PER_PIXEL * config.max_active_pixels)
+        motion = self._backends.motion(config, onsets)
         follower: Follower
         if onsets.width == onsets.height == 1:
             follower = OnePixelFollower(onsets.t0_us, self._numbers)
@@ -181,6 +185,7 @@ class TrackerCore:
             follower = GridFollower(
                 config,
                 self._backends,
+                motion,
                 width=onsets.width,
                 height=onsets.height,
                 pool_px=onsets.pool_px,
@@ -191,7 +196,7 @@ class TrackerCore:
             )
         self.counters["streams"] += 1
         prefix = onsets.stream[:PREFIX_LIMIT] if self._context.lockstep else self._context.boot
-        self._stream = _Stream(onsets, prefix, cutter, follower, floor_us, floor_us + config.period_us)
+        self._stream = _Stream(onsets, prefix, cutter, follower, motion, floor_us, floor_us + config.period_us)
         return self._stream
 
     def _jump(self, stream: _Stream, t0_us: int) -> list[Message]:
@@ -275,12 +280,20 @@ class _Stream:
     """One run of a camera: its geometry, its clock, and who follows it."""
 
     def __init__(
-        self, first: Onsets, prefix: str, cutter: Cutter, follower: Follower, floor_us: int, next_us: int
+        self,
+        first: Onsets,
+        prefix: str,
+        cutter: Cutter,
+        follower: Follower,
+        motion: Motion,
+        floor_us: int,
+        next_us: int,
     ) -> None:
         self.name = first.stream
         self.prefix = prefix
         self.cutter = cutter
         self.follower = follower
+        self.motion = motion
         self.until_us = first.t0_us  # the watermark
         self.floor_us = floor_us  # counts as the newest status before there is one
         self.next_us = next_us  # the next period to publish
@@ -308,18 +321,23 @@ def make_core(config: TrackerConfig, context: Context) -> TrackerCore:
     return TrackerCore(config, context)
 
 
-def warm(clustering: Clustering = "grid", kalman: Kalman = "batched") -> None:
+def warm(clustering: Clustering = "grid", kalman: Kalman = "batched", flow: Flow = "none") -> None:
     """Compile every kernel, or load it from the cache: three discs are born, followed, touch, and scatter.
 
     Args:
         clustering: the backend to warm; other people's libraries load parts of themselves at their first use.
         kalman: likewise.
+        flow: likewise; its kernels are warmed if there is one.
 
     Raises:
         ConfigError: a backend's package is not installed.
     """
+    if flow != "none":
+        import_module("heliograph_services.tracker.flow.pyramid").warm()
     core = TrackerCore(
-        TrackerConfig(clustering=clustering, kalman=kalman, confirm_hits=1, quarantine_us=0, quarantine_max_us=0),
+        TrackerConfig(
+            clustering=clustering, kalman=kalman, flow=flow, confirm_hits=1, quarantine_us=0, quarantine_max_us=0
+        ),
         Context("warm", "warm", False),
     )
     yy, xx = np.mgrid[0:64, 0:64]

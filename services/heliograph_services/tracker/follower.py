@@ -19,6 +19,7 @@ from heliograph_services.tracker import association, shape
 from heliograph_services.tracker.association import Candidates, Gate
 from heliograph_services.tracker.backends import Backends
 from heliograph_services.tracker.config import TrackerConfig
+from heliograph_services.tracker.motion import Motion, Steering
 from heliograph_services.tracker.quarantine import Quarantine
 from heliograph_services.tracker.shape import ShapeFilter, Targets
 from heliograph_services.tracker.splitting import split
@@ -90,6 +91,7 @@ class GridFollower:
     Args:
         config: settings.
         backends: who clusters and who filters.
+        motion: what else is known of velocities, of this stream.
         width: sensor columns.
         height: sensor rows.
         pool_px: side of an onset pixel.
@@ -103,6 +105,7 @@ class GridFollower:
         self,
         config: TrackerConfig,
         backends: Backends,
+        motion: Motion,
         *,
         width: int,
         height: int,
@@ -127,11 +130,17 @@ class GridFollower:
         self._noise_px = float(np.sqrt(config.measurement_noise_px**2 + (pool_px**2 - 1) / 12))
         self._gate = Gate(config.gate_chi2, config.gate_px, self._noise_px, window_us / US_PER_S, config.cost)
         self._quarantine = Quarantine(config.quarantine_us, config.quarantine_max_us)
+        self._steering = Steering(motion, config.prediction, config.initial_speed_px_s)
         self._at_us = 0
         self.table = TrackTable()
 
     def step(self, window: Window) -> None:
         """Take the next window; later than the one before."""
+        self._track(window)
+        self._steering.apply(self.table, window.end_us)
+
+    def _track(self, window: Window) -> None:
+        """Predict, associate, update, confirm, initiate."""
         self.expire(window.start_us)
         # The events' mean time is not known; the middle is off by W / sqrt(12).
         self._predict((window.start_us + window.end_us) // 2)

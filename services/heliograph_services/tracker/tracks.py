@@ -65,11 +65,12 @@ class TrackTable:
         polarity: (n,) float64, of the last target.
         state: (n, 4) float64, see `kalman`.
         cov: (n, 6) float64.
+        flow_px_s: (n, 2) float64, the last velocity that the flow gave; nan before.
     """
 
     COLUMNS: Final = (
         "number", "born_us", "seen_us", "invalid_us", "hits", "blinks", "sign", "status",
-        "radius_px", "size_px", "polarity", "state", "cov",
+        "radius_px", "size_px", "polarity", "state", "cov", "flow_px_s",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -86,6 +87,7 @@ class TrackTable:
         self.polarity: Floats = np.empty(0, np.float64)
         self.state: Floats = np.empty((0, 4), np.float64)
         self.cov: Floats = np.empty((0, 6), np.float64)
+        self.flow_px_s: Floats = np.empty((0, 2), np.float64)
 
     def __len__(self) -> int:
         return len(self.number)
@@ -146,6 +148,7 @@ class TrackTable:
             "polarity": polarity,
             "state": np.concatenate([xy_px, np.zeros((k, 2))], axis=1),
             "cov": cov,
+            "flow_px_s": np.full((k, 2), np.nan),
         }
         for name in self.COLUMNS:
             setattr(self, name, np.concatenate([getattr(self, name), new[name]]))
