@@ -12,6 +12,7 @@ speed within their own range; no truth is used, and none of it is tuned to a sce
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -27,7 +28,7 @@ from heliograph_services.tracker.flow.network import FlowNetwork, paper_network
 from heliograph_services.tracker.flow.noise import NoiseMeter
 from heliograph_services.tracker.flow.readout import Reader
 from heliograph_services.tracker.flow.settings import FlowSettings, Scale
-from heliograph_services.tracker.flow.spikes import TICKS
+from heliograph_services.tracker.flow.spikes import TICKS, Runtime
 from heliograph_services.tracker.flow.surroundings import Motion, fit_motion
 
 Floats = npt.NDArray[np.float64]
@@ -74,6 +75,7 @@ class FlowPyramid:
         tick_us: of the stream.
         pool_px: of the stream.
         network: what runs at every scale; the paper's with the settings' l_tau and v_th if None.
+        runtime: makes what runs it, for an image of so many columns and rows; the fastest exact one.
 
     Attributes:
         counters: "ticks", "inputs", "spikes", "samples" and "flashes" (ticks skipped for too many inputs).
@@ -88,6 +90,7 @@ class FlowPyramid:
         tick_us: int,
         pool_px: int = 1,
         network: FlowNetwork | None = None,
+        runtime: Callable[[FlowNetwork, int, int], Runtime] = make_runtime,
     ) -> None:
         self.counters = dict.fromkeys(("ticks", "inputs", "spikes", "samples", "flashes"), 0)
         network = network or paper_network(settings.l_tau, settings.v_th)
@@ -97,7 +100,7 @@ class FlowPyramid:
         self._noise = NoiseMeter(-(-width // pool_px), -(-height // pool_px))
         scales = dict.fromkeys(fitted(scale, tick_us, pool_px) for scale in settings.scales)
         self._scales = [
-            _ScaleRun(i, scale, settings, network, width, height, tick_us, pool_px, self.counters)
+            _ScaleRun(i, scale, settings, network, width, height, tick_us, pool_px, self.counters, runtime)
             for i, scale in enumerate(scales)
         ]
 
@@ -199,6 +202,7 @@ class _ScaleRun:
         tick_us: int,
         pool_px: int,
         counters: dict[str, int],
+        runtime: Callable[[FlowNetwork, int, int], Runtime],
     ) -> None:
         columns, rows = -(-width // scale.pool_px), -(-height // scale.pool_px)
         self.scale = scale
@@ -207,7 +211,7 @@ class _ScaleRun:
         self._limit = settings.limit_pixels
         self._tick_us = tick_us
         self._intake = Intake(columns, rows, scale.pool_px // pool_px, settings.silence_ticks, settings.noise_share)
-        self._runtime = make_runtime(network, columns, rows)
+        self._runtime = runtime(network, columns, rows)
         self._reader = Reader(network, columns, rows, settings.readout == "fit")
         self._now: int | None = None  # the tick that is being collected
         self._quiet = TICKS  # ticks without input
