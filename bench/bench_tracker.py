@@ -1,0 +1,365 @@
+"""What the tracker costs: kernels beside other people's, whole scenes in one process, and as real processes.
+
+Kernels (one thread, medians, all of one run): a tick of the flow network on 10k and 100k clustered active pixels beside
+a dense torch convolution (`bench_flow`), 1M events clustered beside scikit-learn (once, to the same labels), 1000
+tracks updated beside a loop over filterpy's objects (`bench_backends`).
+
+Scenes, a camera second each, by the thread's processor time around the calls (median of the last seconds):
+
+    site        construction_site, full fidelity          site-live   the same, live
+    busy        5 Mev/s at the sensor: half noise, moving texture, 20 beacons at 2 kbit/s
+
+`gating` is the source's count of onsets, `wire` the packing of their records, `tracker` all of the tracker's `feed`
+with statuses of a decoder that calls nothing valid; `network` the flow network alone on the same onsets. `stages` are
+the shares of the tracker's time by file (cProfile: kernels count where they are called from; with its own overhead).
+
+Processes: the busy scene's recording and the site's, played at real time by a source, with router and tracker; their
+processor time from /proc over the seconds after the first.
+
+Run: OMP_NUM_THREADS=1 python bench/bench_tracker.py [kernels] [scenes] [processes] [--seconds 4]
+"""
+
+from __future__ import annotations
+
+import argparse
+import cProfile
+import json
+import os
+import platform
+import pstats
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "tests")]
+
+import live_scenes  # noqa: E402
+
+from heliograph.core import Context  # noqa: E402
+from heliograph.messages import Tracks  # noqa: E402
+from heliograph.onsets import OnsetCounter, OnsetSettings  # noqa: E402
+from heliograph.onsets import warm as warm_onsets  # noqa: E402
+from heliograph.streams import Onsets  # noqa: E402
+from heliograph.wire import pack_body  # noqa: E402
+from heliograph_services.event_source.cameras.contract import Window  # noqa: E402
+from heliograph_services.event_source.config import EventSourceConfig  # noqa: E402
+from heliograph_services.event_source.core import CameraInfo, SourceCore  # noqa: E402
+from heliograph_services.tracker.config import TrackerConfig  # noqa: E402
+from heliograph_services.tracker.core import make_core, warm  # noqa: E402
+
+RESULT = Path(__file__).parent / "results" / "tracker_cost.json"
+SEED = 1
+SCENES: dict[str, tuple[str, dict[str, Any]]] = {
+    "site": ("construction_site", {}),
+    "site-live": ("construction_site", {"fidelity": "live"}),
+    "busy": (live_scenes.busy(), {}),
+}
+# The first second warms caches, gates and births.
+SKIPPED_S = 1.0
+LIVE = Context(instance="bench", boot="bench", lockstep=False)
+
+
+# ---- kernels ---------------------------------------------------------------------------------------------------------
+
+
+def kernels() -> dict[str, Any]:
+    """Return medians and ratios of the three kernels."""
+    return {"flow_tick": flow_ticks(), "clustering": clustering(), "tracks": thousand_tracks()}
+
+
+def flow_ticks(ticks: int = 30) -> list[dict[str, Any]]:
+    """Return a row for each number of active pixels: the network's tick beside a dense convolution."""
+    import bench_flow  # noqa: PLC0415 - imports torch where it runs
+
+    network = bench_flow.paper_network()
+    rows = []
+    for n in (10_000, 100_000):
+        frames = list(bench_flow.blobs(n, ticks, SEED))
+        row: dict[str, Any] = {"active_pixels": round(statistics.mean(len(x) for x, _ in frames))}
+        runtimes = {
+            "network": bench_flow.WordRuntime(network, bench_flow.WIDTH, bench_flow.HEIGHT),
+            "dense_torch": bench_flow.Dense(network),
+        }
+        spikes = {}
+        for name, runtime in runtimes.items():
+            took, counts = [], []
+            for x, y in frames:
+                start = time.perf_counter()
+                out = runtime.step(x, y)
+                took.append(time.perf_counter() - start)
+                counts.append(out if isinstance(out, int) else len(out))
+            # The network's memory is full after twelve ticks.
+            row[f"{name}_ms"] = round(1e3 * statistics.median(took[12:]), 3)
+            spikes[name] = counts
+        if spikes["network"] != spikes["dense_torch"]:
+            raise SystemExit(f"spikes differ at {n} active pixels")
+        row |= {"n": ticks - 12, "ratio": round(row["dense_torch_ms"] / row["network_ms"], 1)}
+        rows.append(row)
+    return rows
+
+
+def clustering(runs: int = 15) -> dict[str, Any]:
+    """Return how long 1M events take from entries to labels, beside scikit-learn on the distinct pixels."""
+    import bench_backends as peers  # noqa: PLC0415 - imports filterpy
+
+    x, y = peers.corpus(1_000_000, np.random.default_rng(SEED))
+    on, off = np.ones(len(x), np.uint8), np.zeros(len(x), np.uint8)
+    size = {"width": 640, "height": 480, "eps_px": peers.FAST.eps_px, "min_events": peers.FAST.min_events}
+    ours, theirs = (peers.backends.chosen(config).clustering(**size) for config in (peers.FAST, peers.SLOW))
+    ours_ms = peers.median_ms(lambda: ours.labels(ours.distinct(x, y, on, off)), runs)
+    active = ours.distinct(x, y, on, off)
+    start = time.perf_counter()
+    labels = theirs.labels(active)[0]
+    theirs_ms = 1e3 * (time.perf_counter() - start)
+    if (labels != ours.labels(active)[0]).any():
+        raise SystemExit("labels differ")
+    return {
+        "events": len(x), "pixels": len(active), "grid_ms": round(ours_ms, 2), "n": runs,
+        "sklearn_ms": round(theirs_ms, 1), "sklearn_n": 1, "ratio": round(theirs_ms / ours_ms, 1),
+    }  # fmt: skip
+
+
+def thousand_tracks(runs: int = 15) -> dict[str, Any]:
+    """Return a whole window of 1000 beacons, and what the filters alone take, beside filterpy's objects."""
+    import bench_backends as peers  # noqa: PLC0415
+
+    rows: dict[str, tuple[float, float]] = {}
+
+    def keep(what: str, ours_ms: float, theirs_ms: float, note: str = "") -> None:  # noqa: ARG001 - as peers.row
+        rows[what.strip()] = ours_ms, theirs_ms
+
+    shown, peers.row = peers.row, keep
+    try:
+        rng = np.random.default_rng(SEED)
+        peers.filters(rng, runs)
+        peers.windows(rng, runs)
+    finally:
+        peers.row = shown
+    return {
+        what: {"ours_ms": round(a, 3), "theirs_ms": round(b, 2), "ratio": round(b / a, 1), "n": runs}
+        for what, (a, b) in rows.items()
+    }
+
+
+# ---- whole scenes in one process -------------------------------------------------------------------------------------
+
+
+def recorded(name: str, seconds: float) -> tuple[list[Onsets], dict[str, Any]]:
+    """Return a scene's onsets as its source sends them, and what making them cost."""
+    scenario, settings = SCENES[name]
+    batches = live_scenes.events_of(scenario, SEED, seconds, **settings)
+    config = EventSourceConfig(backend="simulated", window_us=20_000, max_events=1_000_000)
+    source = SourceCore(config, CameraInfo(640, 480))
+    counter = OnsetCounter(
+        OnsetSettings(
+            width=640, height=480, tick_us=config.tick_us, pool_px=config.pool_px,
+            gate=config.gate, min_events=config.min_events,
+        )
+    )  # fmt: skip
+    warm_onsets()
+    onsets: list[Onsets] = []
+    gating, wire, packed = [], [], 0
+    for i, batch in enumerate(batches):
+        t0_us, t1_us = i * 20_000, (i + 1) * 20_000
+        start = time.thread_time()
+        counter.count(batch, t0_us, t1_us)
+        gating.append(time.thread_time() - start)
+        made = [m for m in source.feed(Window(t0_us, t1_us, batch, "bench")) if isinstance(m, Onsets)]
+        for message in made:
+            start = time.thread_time()
+            packed += len(pack_body(message))
+            wire.append(time.thread_time() - start)
+        onsets += made
+    first = round(SKIPPED_S / 0.02)
+    took_s = 0.02 * len(gating[first:])
+    return onsets, {
+        "events_s": round(sum(map(len, batches)) / seconds),
+        "entries_s": round(sum(len(m.tick) for m in onsets) / seconds),
+        "packed_bytes_s": round(packed / seconds),
+        "gating_core": round(sum(gating[first:]) / took_s, 3),
+        "wire_core": round(sum(wire[first:]) / took_s, 3),
+    }
+
+
+def seconds_of(onsets: list[Onsets], feed: Callable[[Onsets], Any]) -> list[float]:
+    """Return the processor time of each camera second after the first."""
+    took: dict[int, float] = {}
+    for message in onsets:
+        start = time.thread_time()
+        feed(message)
+        second = message.t0_us // 1_000_000
+        took[second] = took.get(second, 0.0) + time.thread_time() - start
+    return [s for second, s in took.items() if second >= SKIPPED_S] or list(took.values())
+
+
+def network(onsets: list[Onsets]) -> list[float]:
+    """Return the processor time of the flow network alone."""
+    from heliograph_services.tracker.flow.pyramid import FlowPyramid  # noqa: PLC0415
+    from heliograph_services.tracker.flow.pyramid import warm as warm_flow  # noqa: PLC0415
+    from heliograph_services.tracker.flow.settings import FlowSettings  # noqa: PLC0415
+
+    warm_flow()
+    first = onsets[0]
+    flow = FlowPyramid(
+        FlowSettings(), width=first.width, height=first.height, tick_us=first.tick_us, pool_px=first.pool_px
+    )
+    return seconds_of(onsets, flow.feed)
+
+
+def stages(onsets: list[Onsets], config: TrackerConfig) -> tuple[dict[str, float], str]:
+    """Return the shares of the tracker's time by file, and the functions that took most, as a table."""
+    core = make_core(config, LIVE)
+    profile = cProfile.Profile(time.thread_time)
+    for message in onsets:
+        profile.enable()
+        core.feed(message)
+        profile.disable()
+    stats = pstats.Stats(profile)
+    rows: list[tuple[str, str, int, float, float]] = []
+    inside: dict[str, float] = {}
+    for (file, _, function), (_, calls, own, total, callers) in stats.stats.items():  # type: ignore[attr-defined]
+        place = Path(file).name
+        if file.startswith("~") or "heliograph" not in file:
+            # numpy's time is that of whoever asked it.
+            for (caller, _, _), (_, _, its, _) in callers.items():
+                inside[Path(caller).name] = inside.get(Path(caller).name, 0.0) + its
+        else:
+            inside[place] = inside.get(place, 0.0) + own
+        rows.append((place, function, calls, own, total))
+    total_s = sum(inside.values()) or 1.0
+    shares = {
+        name: round(s / total_s, 3) for name, s in sorted(inside.items(), key=lambda kv: -kv[1]) if s > 0.005 * total_s
+    }
+    camera_s = (onsets[-1].t1_us - onsets[0].t0_us) / 1e6
+    lines = [f"{'file':22} {'function':34} {'calls/s':>9} {'own core':>9} {'with calls':>10}"]
+    for place, function, calls, own, total in sorted(rows, key=lambda row: -row[3])[:30]:
+        lines.append(
+            f"{place:22} {function[:34]:34} {calls / camera_s:9.0f} {own / camera_s:9.4f} {total / camera_s:10.4f}"
+        )
+    return shares, "\n".join(lines)
+
+
+def scenes(seconds: float, profile_to: Path | None) -> dict[str, Any]:
+    """Return a row a scene."""
+    config = TrackerConfig()
+    warm(config.clustering, config.kalman)
+    found: dict[str, Any] = {}
+    text: list[str] = []
+    for name in SCENES:
+        onsets, row = recorded(name, seconds)
+        core = make_core(config, LIVE)
+        published = 0
+
+        def feed(message: Onsets, core: Any = core) -> None:
+            nonlocal published
+            published += sum(isinstance(one, Tracks) for one in core.feed(message))
+
+        took = seconds_of(onsets, feed)
+        row["tracker_core"] = round(statistics.median(took), 3)
+        row["tracker_worst_second"] = round(max(took), 3)
+        row["network_core"] = round(statistics.median(network(onsets)), 3)
+        row["counters"] = {name: n for name, n in core.counters.items() if n}
+        row["stages"], table = stages(onsets, config)
+        row["n_seconds"] = len(took)
+        found[name] = row
+        text += [f"## {name}", json.dumps(row), "```", table, "```", ""]
+        print(name, {k: v for k, v in row.items() if k not in {"counters", "stages"}}, flush=True)
+    if profile_to is not None:
+        profile_to.write_text("\n".join(text))
+    return found
+
+
+# ---- real processes --------------------------------------------------------------------------------------------------
+
+SITE = """
+site = "cost"
+[bus]
+connect = ["tcp/127.0.0.1:{port}"]
+shared_memory = true
+[router]
+listen = ["tcp/127.0.0.1:{port}"]
+[[service]]
+kind = "event_source"
+backend = "recording"
+file = "{file}"
+loop = true
+await_s = 60
+wait_for = ["tracker"]
+[[service]]
+kind = "tracker"
+"""
+
+
+def cpu_s(pid: int) -> float:
+    """Return the processor time of a process so far."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def processes(seconds: float) -> dict[str, Any]:
+    """Return the cores that source and tracker take at real time, by scene."""
+    from support.processes import Host, collecting, free_port  # noqa: PLC0415
+
+    found: dict[str, Any] = {}
+    for name in ("site-live", "busy"):
+        scenario, settings = SCENES[name]
+        with tempfile.TemporaryDirectory(prefix="heliograph-bench-") as folder:
+            file = Path(folder) / "scene.npz"
+            live_scenes.write_recording(file, live_scenes.events_of(scenario, SEED, seconds, **settings), 640, 480)
+            port = free_port()
+            host = Host(Path(folder), "cost", SITE.format(port=port, file=file), ["tracker", "event_source"])
+            try:
+                with collecting(port, "cost", ["tracks", "health"]) as heard:
+                    heard.until(lambda h: len(h.messages["tracks"]) > 10, "tracks")
+                    before, since = {k: cpu_s(p.pid) for k, p in host.processes.items()}, time.monotonic()
+                    at = heard.messages["tracks"][-1].time_us
+                    heard.until(
+                        lambda h, at=at: h.messages["tracks"][-1].time_us > at + 2e6 * seconds,
+                        "two rounds",
+                        60 + 6 * seconds,
+                    )
+                    passed = (heard.messages["tracks"][-1].time_us - at) / 1e6
+                    after = {k: cpu_s(p.pid) for k, p in host.processes.items()}
+                    late = (time.monotonic() - since) / passed
+                    health = {m.service: m for m in heard.messages["health"]}  # type: ignore[attr-defined]
+            finally:
+                host.close()
+        found[name] = {kind: round((after[kind] - before[kind]) / passed, 3) for kind in after} | {
+            "camera_s": round(passed, 1),
+            "wall_a_camera_s": round(late, 2),
+            "dropped": {k: v for k, v in health["tracker"].counters.items() if "dropped" in k or "missing" in k},
+        }
+        print(name, found[name], flush=True)
+    return found
+
+
+def main() -> None:
+    """Run the parts that are asked for, all without any; keep the others' stored results."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("part", nargs="*", choices=["kernels", "scenes", "processes", []], default=[])
+    parser.add_argument("--seconds", type=float, default=4.0, help="of camera time, of each scene")
+    parser.add_argument("--profile", type=Path, default=None, help="write the scenes' profiles to this file")
+    parser.add_argument("-o", "--output", type=Path, default=RESULT)
+    args = parser.parse_args()
+    result = json.loads(args.output.read_text()) if args.output.exists() else {}
+    parts = args.part or ["kernels", "scenes", "processes"]
+    result["machine"] = {"machine": platform.machine(), "python": platform.python_version(), "seed": SEED, "threads": 1}
+    for part in parts:
+        if part == "kernels":
+            result[part] = kernels()
+            print(json.dumps(result[part], indent=1))
+        elif part == "scenes":
+            result[part] = scenes(args.seconds, args.profile)
+        else:
+            result[part] = processes(args.seconds)
+    args.output.write_text(json.dumps(result, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
