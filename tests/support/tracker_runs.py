@@ -25,6 +25,11 @@ def new_core(lockstep: bool = False, boot: str = "b00t", **settings_: object) ->
 
 
 def feed(core: TrackerCore, messages: Iterable[Message]) -> list[Tracks]:
+    """Return what is published for the periods; without what is published at once between them."""
+    return [m for m in feed_all(core, messages) if m.as_of_us % m.period_us == 0]
+
+
+def feed_all(core: TrackerCore, messages: Iterable[Message]) -> list[Tracks]:
     out: list[Tracks] = []
     for message in messages:
         for one in core.feed(message):

@@ -15,17 +15,66 @@ from heliograph.messages import Status, Tracks
 from heliograph.streams import Onsets
 from heliograph_services.tracker.core import RESYNC_AFTER
 from support.onset_scenes import Disc, Scene, line
-from support.tracker_runs import PERIOD, TWO, bodies, cut, feed, late_start, new_core, silence
+from support.tracker_runs import PERIOD, TWO, bodies, cut, feed, feed_all, late_start, new_core, silence
 
 
-@pytest.mark.parametrize(("window_us", "period_us"), [(5_000, PERIOD), (10_000, PERIOD), (10_000, 13_000)])
+@pytest.mark.parametrize(
+    ("window_us", "period_us"), [(5_000, PERIOD), (10_000, PERIOD), (10_000, 13_000), (5_000, 1_000)]
+)
 @settings(max_examples=15)
 @given(sizes=st.lists(st.integers(1, 60), min_size=1, max_size=6))
 def test_any_cut_of_the_stream_gives_the_same_bytes(window_us: int, period_us: int, sizes: list[int]) -> None:
-    wanted = bodies(feed(new_core(cluster_window_us=window_us, period_us=period_us), late_start()))
+    wanted = bodies(feed_all(new_core(cluster_window_us=window_us, period_us=period_us), late_start()))
     assert len(wanted) >= 4
     core = new_core(cluster_window_us=window_us, period_us=period_us)
-    assert bodies(feed(core, cut(late_start(), sizes))) == wanted
+    assert bodies(feed_all(core, cut(late_start(), sizes))) == wanted
+
+
+def test_in_lockstep_a_period_shorter_than_a_window_does_not_depend_on_the_cut_either() -> None:
+    onsets = list(replace(TWO, tick_us=1_000).onsets(0.3))
+    wanted = bodies(feed_all(new_core(lockstep=True, period_us=1_000), onsets))
+    assert len(wanted) == 300
+    assert bodies(feed_all(new_core(lockstep=True, period_us=1_000), cut(onsets, [1, 2]))) == wanted
+
+
+def test_between_two_windows_a_period_of_a_millisecond_extrapolates() -> None:
+    scene = Scene((Disc(line(60, 60, 200, -100)),))
+    out = [m for m in feed(new_core(period_us=1_000), scene.onsets(0.5)) if m.as_of_us > 400_000]
+    assert len(out) == 100
+    x_px, vx_px_s = np.array([(m.x_px[0], m.vx_px_s[0]) for m in out]).T
+    at_s = np.array([m.as_of_us for m in out]) / 1e6
+    assert np.abs(x_px - (60 + 200 * at_s)).max() < 0.5
+    inside = np.diff(vx_px_s) == 0
+    assert inside.sum() >= 79
+    assert np.diff(x_px)[inside] == pytest.approx(vx_px_s[1:][inside] / 1e3, abs=0.0021)
+
+
+def test_live_a_birth_is_published_at_the_end_of_the_window_that_confirms_it_and_in_lockstep_with_the_period() -> None:
+    scene = Scene((Disc(line(60, 60), dark_s=((0.0, 0.022),)),))
+    first, second, *_ = feed_all(new_core(), scene.onsets(0.2))
+    assert (first.track, first.born_us) == (["b00t-0"], [20_000])
+    assert first.as_of_us == first.seen_us[0] == 35_000  # the third window with events
+    assert first.period_us == PERIOD
+    assert second.as_of_us == PERIOD
+    assert [m.as_of_us for m in feed_all(new_core(lockstep=True), scene.onsets(0.2))] == [PERIOD, 2 * PERIOD]
+
+
+def test_a_birth_that_is_confirmed_as_a_period_ends_is_published_once() -> None:
+    scene = Scene((Disc(line(60, 60), dark_s=((0.0, 0.0855),)),))
+    out = feed_all(new_core(), scene.onsets(0.2))
+    assert [m.as_of_us for m in out if m.track] == [PERIOD, 2 * PERIOD]
+    assert out[0].seen_us == [PERIOD]
+
+
+def test_what_is_born_after_its_time_was_published_in_silence_is_published_after_that() -> None:
+    scene = Scene((Disc(line(60, 60), dark_s=((0.0, 0.022),)),))
+    core = new_core()
+    onsets = list(scene.onsets(0.2))
+    early = feed_all(core, onsets[:2])
+    assert [m.as_of_us for m in core.tick(200_000)] == [PERIOD]  # type: ignore[attr-defined]
+    late = feed_all(core, onsets[2:])
+    assert not early
+    assert [m.as_of_us for m in late] == [PERIOD + 1, 2 * PERIOD]
 
 
 def test_two_ticks_a_window_are_clustered_together() -> None:

@@ -25,8 +25,8 @@ Prediction = Literal["none", "centroid", "flow", "both"]
 _Time = Annotated[int, Meta(ge=0, le=60_000_000)]
 _Pixels = Annotated[int, Meta(ge=1, le=1_000_000)]
 
-# Below 10 ms a period would be shorter than a clustering window may be.
-PERIOD_MIN_US: Final = 10_000
+# 1 kHz; between two clustering windows the tracks are extrapolated.
+PERIOD_MIN_US: Final = 1_000
 
 
 class TrackerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -8,7 +8,8 @@ how the onsets were cut into messages. In order of time::
     statuses that are due -> expire, publish Tracks(P)  due: as_of + period <  P
 
 That is the lockstep rule of `heliograph.core`: onsets up to t1 need the statuses up to t1 - 2 periods, and no status
-that may or may not have come by then is used. Live, a status is used when it comes.
+that may or may not have come by then is used. Live, a status is used when it comes, and a birth that is confirmed or a
+name that changes is also published at once: beacons are not read before the decoder knows of their tracks.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import numpy as np
 
 from heliograph.core import Context
 from heliograph.errors import Refusal, Refusals
-from heliograph.messages import Message, Status, Tracks
+from heliograph.messages import Message, Status, StatusWord, Tracks
 from heliograph.streams import Onsets
 from heliograph.units import US_PER_S
 from heliograph_services.tracker import backends
@@ -52,7 +53,8 @@ PREFIX_LIMIT: Final = 48
 COUNTERS: Final = (
     "windows", "windows_flooded", "active_pixels", "targets", "targets_split",
     "births", "births_double", "births_over_limit", "births_quarantined",
-    "tracks_born", "tracks_ended", "tracks_ended_invalid", "tracks_published", "streams", "statuses",
+    "tracks_born", "tracks_ended", "tracks_ended_invalid", "tracks_renamed", "tracks_taken_over",
+    "tracks_published", "tracks_at_once", "streams", "statuses",
 )  # fmt: skip
 
 
@@ -91,7 +93,7 @@ class TrackerCore:
         elif isinstance(message, Onsets):
             return list(self._onsets(message))
         elif isinstance(message, Status):
-            self._status(message)
+            return list(self._status(message))
         return []
 
     def ready(self, message: Message) -> bool:
@@ -147,7 +149,8 @@ class TrackerCore:
             out += self._passed(stream, window.end_us - 1)
             self._judge(stream, window.start_us)
             self.counters["windows"] += 1
-            stream.follower.step(window)
+            if stream.follower.step(window):
+                out += self._at_once(stream, window.end_us)
         stream.until_us = onsets.t1_us
         stream.ended = onsets.end
         out += self._passed(stream, onsets.t1_us)
@@ -162,7 +165,8 @@ class TrackerCore:
             return Refusal.OFF_SENSOR
         if onsets.t1_us - onsets.t0_us > SPAN_LIMIT_US:
             return Refusal.TIME_JUMP
-        if onsets.tick_us > self._config.period_us:
+        # In lockstep the decoder's statuses for the end of a tick depend on tracks from within it.
+        if self._context.lockstep and onsets.tick_us > self._config.period_us:
             return Refusal.CORE_FAULT
         return None
 
@@ -220,8 +224,21 @@ class TrackerCore:
         return out
 
     def _publish(self, stream: _Stream) -> Tracks:
-        as_of_us = stream.next_us
+        """Publish the next period."""
         stream.next_us += self._config.period_us
+        return self._tracks(stream, stream.next_us - self._config.period_us)
+
+    def _at_once(self, stream: _Stream, at_us: int) -> list[Message]:
+        """Publish between two periods: a birth or a new name. Live only; in lockstep all wait for the grid."""
+        as_of_us = max(at_us, stream.published_us + 1)
+        # The period that is due now says it too.
+        if self._context.lockstep or as_of_us >= stream.next_us:
+            return []
+        self.counters["tracks_at_once"] += 1
+        return [self._tracks(stream, as_of_us)]
+
+    def _tracks(self, stream: _Stream, as_of_us: int) -> Tracks:
+        stream.published_us = as_of_us
         s = stream.follower.snapshot(as_of_us)
         self.counters["tracks_published"] += len(s.number)
         self.gauges["tracks"] = float(len(s.number))
@@ -251,12 +268,14 @@ class TrackerCore:
             status=s.status,
         )
 
-    def _status(self, status: Status) -> None:
+    def _status(self, status: Status) -> list[Message]:
         self.counters["statuses"] += 1
+        stream = self._stream
         if self._context.lockstep:
             self._statuses.append(status)
-        elif self._stream is not None:
-            self._use(self._stream, status, self._stream.until_us)
+        elif stream is not None and self._use(stream, status, stream.until_us):
+            return self._at_once(stream, stream.until_us)
+        return []
 
     def _judge(self, stream: _Stream, until_us: int) -> None:
         """In lockstep, use the statuses that are due by now; they stay, since `ready` asks for the newest."""
@@ -266,14 +285,16 @@ class TrackerCore:
                 stream.judged_us = status.as_of_us
                 self._use(stream, status, status.as_of_us + period_us)
 
-    def _use(self, stream: _Stream, status: Status, at_us: int) -> None:
+    def _use(self, stream: _Stream, status: Status, at_us: int) -> bool:
+        """Take a status; return whether names have changed."""
         head = f"{stream.prefix}-"
-        words = {
-            int(name[len(head) :]): word
-            for name, word in zip(status.track, status.status, strict=True)
-            if name.startswith(head) and name[len(head) :].isdecimal()
-        }
-        stream.follower.judge(words, at_us)
+        words: dict[int, StatusWord] = {}
+        tokens: dict[int, str | None] = {}
+        for name, word, token in zip(status.track, status.status, status.identity, strict=True):
+            if name.startswith(head) and name[len(head) :].isdecimal():
+                number = int(name[len(head) :])
+                words[number], tokens[number] = word, token
+        return stream.follower.judge(words, tokens, at_us)
 
 
 class _Stream:
@@ -295,6 +316,7 @@ class _Stream:
         self.follower = follower
         self.motion = motion
         self.until_us = first.t0_us  # the watermark
+        self.published_us = floor_us  # as_of of the last Tracks
         self.floor_us = floor_us  # counts as the newest status before there is one
         self.next_us = next_us  # the next period to publish
         self.judged_us = floor_us - 1  # as_of of the last status used

@@ -19,6 +19,7 @@ from heliograph_services.tracker import association, shape
 from heliograph_services.tracker.association import Candidates, Gate
 from heliograph_services.tracker.backends import Backends
 from heliograph_services.tracker.config import TrackerConfig
+from heliograph_services.tracker.identity import Identities
 from heliograph_services.tracker.motion import Motion, Steering
 from heliograph_services.tracker.quarantine import Quarantine
 from heliograph_services.tracker.shape import ShapeFilter, Targets
@@ -56,12 +57,12 @@ _REFUSED: Final = (
 class Follower(Protocol):
     """What the core drives: windows in, instants out."""
 
-    def step(self, window: Window) -> None:
-        """Take the next window that has entries."""
+    def step(self, window: Window) -> bool:
+        """Take the next window that has entries; return whether a track was born."""
         ...
 
-    def judge(self, words: dict[int, StatusWord], at_us: int) -> None:
-        """Take the decoder's words, by the tracks' numbers."""
+    def judge(self, words: dict[int, StatusWord], tokens: dict[int, str | None], at_us: int) -> bool:
+        """Take the decoder's words and tokens, by the tracks' numbers; return whether names have changed."""
         ...
 
     def expire(self, at_us: int) -> None:
@@ -131,13 +132,16 @@ class GridFollower:
         self._gate = Gate(config.gate_chi2, config.gate_px, self._noise_px, window_us / US_PER_S, config.cost)
         self._quarantine = Quarantine(config.quarantine_us, config.quarantine_max_us)
         self._steering = Steering(motion, config.prediction, config.initial_speed_px_s)
+        self._identities = Identities()
         self._at_us = 0
         self.table = TrackTable()
 
-    def step(self, window: Window) -> None:
-        """Take the next window; later than the one before."""
+    def step(self, window: Window) -> bool:
+        """Take the next window, later than the one before; return whether a track was born."""
+        born = self._counters["tracks_born"]
         self._track(window)
         self._steering.apply(self.table, window.end_us)
+        return self._counters["tracks_born"] > born
 
     def _track(self, window: Window) -> None:
         """Predict, associate, update, confirm, initiate."""
@@ -161,9 +165,22 @@ class GridFollower:
                 self._refusals[reason] += refused
         self._initiate(targets, np.flatnonzero(free & (targets.verdict == shape.ROUND)), window)
 
-    def judge(self, words: dict[int, StatusWord], at_us: int) -> None:
-        """Take the decoder's words, by the tracks' numbers."""
-        self.table.judge(words, at_us)
+    def judge(self, words: dict[int, StatusWord], tokens: dict[int, str | None], at_us: int) -> bool:
+        """Take the decoder's words and tokens, by the tracks' numbers; return whether names have changed."""
+        table = self.table
+        table.judge(words, at_us)
+        named = table.named
+        numbers, seen_us = table.number[named].tolist(), table.seen_us[named].tolist()
+        unseen_us = {number: at_us - us for number, us in zip(numbers, seen_us, strict=True)}
+        renaming = self._identities.judge(tokens, unseen_us, at_us)
+        if not renaming.number:
+            return False
+        gone = np.isin(table.number, list(renaming.ended))
+        table.rename(renaming.number)
+        table.keep(~gone)
+        self._counters["tracks_taken_over"] += len(renaming.ended)
+        self._counters["tracks_renamed"] += len(renaming.number) - 2 * len(renaming.ended)
+        return True
 
     def expire(self, at_us: int) -> None:
         """End the tracks whose time is up; where one was invalid, close the place for births."""

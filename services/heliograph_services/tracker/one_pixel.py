@@ -20,17 +20,19 @@ class OnePixelFollower:
         self._polarity = 0.0
         self._status: StatusWord = "new"
 
-    def step(self, window: Window) -> None:
-        """Take note of the window's polarity."""
+    def step(self, window: Window) -> bool:
+        """Take note of the window's polarity; nothing is ever born."""
         on, off = int(window.on.sum(dtype=np.int64)), int(window.off.sum(dtype=np.int64))
         if on + off:
             self._polarity = round((on - off) / (on + off), 3)
             self._seen_us = window.end_us
+        return False
 
-    def judge(self, words: dict[int, StatusWord], at_us: int) -> None:
-        """Take the decoder's word; it is passed on, and ends nothing."""
-        del at_us
+    def judge(self, words: dict[int, StatusWord], tokens: dict[int, str | None], at_us: int) -> bool:
+        """Take the decoder's word; it is passed on, and ends nothing. Whoever is read here, it is this track."""
+        del tokens, at_us
         self._status = words.get(self._number, self._status)
+        return False
 
     def expire(self, at_us: int) -> None:
         """Nothing ends: there is nowhere else to look."""

@@ -1,6 +1,7 @@
 """The table of tracks: one row a track, one array a column, rows in the order of birth.
 
-A row is in birth (`number` -1) until it is confirmed; then it has a number that is never used again.
+A row is in birth (`number` -1) until it is confirmed; then it has a number, which it may exchange with another row's
+(`identity`); a number that has ended is never used again.
 """
 
 from __future__ import annotations
@@ -165,6 +166,18 @@ class TrackTable:
             elif self.status[i] != INVALID:
                 self.invalid_us[i] = at_us
             self.status[i] = code
+
+    def rename(self, number: dict[int, int]) -> None:
+        """Give rows other numbers, by the old ones; a number keeps its birth.
+
+        Args:
+            number: of each old number, the new one; both named rows.
+        """
+        born_us = dict(zip(self.number.tolist(), self.born_us.tolist(), strict=True))
+        for i in np.flatnonzero(self.named):
+            new = number.get(int(self.number[i]))
+            if new is not None:
+                self.number[i], self.born_us[i] = new, born_us[new]
 
     def snapshot(self, rows: Longs, state: Floats, cov: Floats) -> Snapshot:
         """Return some rows with the states given for them, rounded to a thousandth, by rising number.
