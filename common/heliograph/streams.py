@@ -6,12 +6,10 @@ Events, body on the wire (little-endian, struct of arrays: 8.1 bytes an event)::
     n int, dt_us bytes(4 n: u4, t - t0_us),
     x_px bytes(2 n: u2), y_px bytes(2 n: u2), on bytes(ceil(n / 8): bits, LSB first)
 
-Onsets, body on the wire (6 bytes an active pixel and tick, 2 a tick, before compression; about 2 and 1 after it)::
+Onsets, body on the wire (about 1.2 bytes an active pixel and tick)::
 
     camera, stream, width, height, t0_us, t1_us, end as above, tick_us int, pool_px int,
-    n int, columns bytes: zlib of, one after another,
-        per_tick 2 k: u2, active pixels of each of the k = (t1 - t0) / tick ticks; their sum is n
-        x_px 2 n: u2, y_px 2 n: u2, on_count n: u1, off_count n: u1
+    n int, steps int, columns bytes: the n entries of the ticks, packed as `heliograph.onset_columns` says
 
 Image, body on the wire::
 
@@ -33,12 +31,15 @@ from msgspec import Meta
 
 from heliograph.events import EventBatch, checked
 from heliograph.messages import WINDOW_LIMIT_US, Message, Name, Side, TimeUs
+from heliograph.onset_columns import pack_columns, unpack_columns
 
 # A message of more events than this is split by the source (10k events are 81 kB); receivers allow what a burst of
 # the fastest sensor puts into one window, and refuse beyond.
 EVENTS_LIMIT: Final = 4_000_000
 TICKS_LIMIT: Final = 65_535
-# The fastest level: neighbours in a blob share most of their bytes, and more effort gains a tenth.
+# An entry is one step, and 255 pixels more that are skipped another: ten times what a burst needs.
+STEPS_LIMIT: Final = 10 * EVENTS_LIMIT
+# Of images: the fastest level.
 ZLIB_LEVEL: Final = 1
 
 # Of an image: 4 MB; event cameras on sale have 1 Mpx at most.
@@ -76,6 +77,7 @@ class _OnsetsBody(_Window, frozen=True, kw_only=True):
     tick_us: Annotated[int, Meta(ge=1, le=1_000_000)]
     pool_px: Annotated[int, Meta(ge=1, le=64)]
     n: Annotated[int, Meta(ge=0, le=EVENTS_LIMIT)]
+    steps: Annotated[int, Meta(ge=0, le=STEPS_LIMIT)]
     columns: bytes
 
 
@@ -182,11 +184,12 @@ class Onsets(Message, frozen=True, kw_only=True):
         tick: (n,) uint16, not falling: an entry's tick, counted from t0_us.
         x_px: (n,) uint16.
         y_px: (n,) uint16; within a tick, entries rise by (y, x).
-        on_count: (n,) uint8, events that became brighter; 255 means 255 or more.
+        on_count: (n,) uint8, events that became brighter; on the wire 15 means 15 or more.
         off_count: (n,) uint8, events that became darker.
     """
 
     SCHEMA: ClassVar[str] = "onsets"
+    VERSION: ClassVar[tuple[int, int]] = (2, 0)
     camera: str
     stream: str
     width: int
@@ -208,29 +211,17 @@ class Onsets(Message, frozen=True, kw_only=True):
         return (self.t1_us - self.t0_us) // self.tick_us
 
     def to_body(self) -> dict[str, Any]:
-        """Return the body of the module's table."""
+        """Return the body of the module's table.
+
+        Raises:
+            ValueError: a tick has more than 65535 entries, or they do not rise.
+        """
         head = {name: getattr(self, name) for name in _Window.__struct_fields__}
-        per_tick = np.bincount(self.tick, minlength=self.ticks).astype("<u4")
-        if per_tick.size and per_tick.max() > np.iinfo(np.uint16).max:
-            # Where more than 65535 pixels are active in a tick the sensor is flooded; pooling must be raised.
-            raise ValueError(f"at most 65535 active pixels a tick fit the wire, not {per_tick.max()}: pool more")
-        return head | {
-            "tick_us": self.tick_us,
-            "pool_px": self.pool_px,
-            "n": len(self.tick),
-            "columns": zlib.compress(
-                b"".join(
-                    (
-                        per_tick.astype("<u2").tobytes(),
-                        self.x_px.astype("<u2", copy=False).tobytes(),
-                        self.y_px.astype("<u2", copy=False).tobytes(),
-                        self.on_count.tobytes(),
-                        self.off_count.tobytes(),
-                    )
-                ),
-                ZLIB_LEVEL,
-            ),
-        }
+        per_tick = np.bincount(self.tick, minlength=self.ticks)
+        row = -(-self.width // self.pool_px)
+        steps, columns = pack_columns(per_tick, self.x_px, self.y_px, self.on_count, self.off_count, row)
+        n = len(self.tick)
+        return head | {"tick_us": self.tick_us, "pool_px": self.pool_px, "n": n, "steps": steps, "columns": columns}
 
     @classmethod
     def from_body(cls, body: dict[str, Any]) -> Self:
@@ -244,17 +235,10 @@ class Onsets(Message, frozen=True, kw_only=True):
         span = raw.t1_us - raw.t0_us
         if span % raw.tick_us or raw.t0_us % raw.tick_us or span // raw.tick_us > TICKS_LIMIT:
             raise ValueError(f"window [{raw.t0_us}, {raw.t1_us}) must hold whole ticks of {raw.tick_us} us")
-        ticks, n = span // raw.tick_us, raw.n
-        columns = inflated(raw.columns, 2 * ticks + 6 * n)
-        per_tick = np.frombuffer(columns, "<u2", ticks)
-        if int(per_tick.sum(dtype=np.int64)) != raw.n:
-            raise ValueError(f"per_tick must add up to n = {raw.n}, not {per_tick.sum(dtype=np.int64)}")
-        at = 2 * ticks
-        x_px = np.frombuffer(columns, "<u2", n, at).astype(np.uint16, copy=False)
-        y_px = np.frombuffer(columns, "<u2", n, at + 2 * n).astype(np.uint16, copy=False)
-        # As Python's integers: 16 bits would wrap, and let a far pixel pass.
-        if raw.n and (int(x_px.max()) * raw.pool_px >= raw.width or int(y_px.max()) * raw.pool_px >= raw.height):
-            raise ValueError(f"({x_px.max()}, {y_px.max()}) lies outside {raw.width}x{raw.height}")
+        ticks = span // raw.tick_us
+        columns = inflated(raw.columns, 2 * ticks + raw.n + raw.steps)
+        row, rows = -(-raw.width // raw.pool_px), -(-raw.height // raw.pool_px)
+        per_tick, x_px, y_px, on_count, off_count = unpack_columns(columns, ticks, raw.n, row, rows)
         return cls(
             camera=raw.camera,
             stream=raw.stream,
@@ -267,8 +251,8 @@ class Onsets(Message, frozen=True, kw_only=True):
             tick=np.repeat(np.arange(len(per_tick), dtype=np.uint16), per_tick),
             x_px=x_px,
             y_px=y_px,
-            on_count=np.frombuffer(columns, np.uint8, n, at + 4 * n),
-            off_count=np.frombuffer(columns, np.uint8, n, at + 5 * n),
+            on_count=on_count,
+            off_count=off_count,
             end=raw.end,
         )
 

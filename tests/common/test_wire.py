@@ -7,6 +7,7 @@ import zlib
 from pathlib import Path
 
 import msgpack
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -193,3 +194,35 @@ def test_an_image_comes_back_row_by_row() -> None:
 def test_an_image_that_is_not_what_it_says_is_refused(changes: dict[str, object]) -> None:
     image = Image(camera="cam0", stream="5eed", t_us=5, grey=np.zeros((3, 4), np.uint8))
     assert reason(envelope(image, body=image.to_body() | changes)) is Refusal.BAD_BODY
+
+
+@given(
+    st.integers(1, 4),
+    st.lists(st.tuples(st.integers(0, 2), st.integers(0, 1299), st.integers(0, 40), st.integers(0, 40)), max_size=60),
+)
+def test_onsets_come_back_entry_by_entry(pool_px: int, drawn: list[tuple[int, int, int, int]]) -> None:
+    columns = -(-65 // pool_px)
+    rows = -(-21 // pool_px)
+    entries = sorted({(tick, place % (columns * rows)): counts for tick, place, *counts in drawn}.items())
+    tick, place = (np.array([key[i] for key, _ in entries], np.int64) for i in range(2))
+    on, off = (np.array([counts[i] for _, counts in entries], np.uint8) for i in range(2))
+    onsets = Onsets(
+        camera="c", stream="s", width=65, height=21, t0_us=0, t1_us=15_000, tick_us=5000, pool_px=pool_px,
+        tick=tick.astype(np.uint16), x_px=(place % columns).astype(np.uint16),
+        y_px=(place // columns).astype(np.uint16), on_count=on, off_count=off,
+    )  # fmt: skip
+    back = opened(pack(header_of(onsets), onsets))[1]
+    assert isinstance(back, Onsets)
+    for name in ("tick", "x_px", "y_px"):
+        assert getattr(back, name).tolist() == getattr(onsets, name).tolist()
+    for name in ("on_count", "off_count"):
+        assert getattr(back, name).tolist() == np.minimum(getattr(onsets, name), 15).tolist()
+
+
+def test_onsets_that_do_not_rise_within_a_tick_are_the_sender_s_error() -> None:
+    onsets = every_record()[1]
+    assert isinstance(onsets, Onsets)
+    with pytest.raises(ValueError, match="rise"):
+        msgspec.structs.replace(
+            onsets, x_px=np.array([3, 639, 4], np.uint16), y_px=np.array([5, 5, 5], np.uint16)
+        ).to_body()

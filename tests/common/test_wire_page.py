@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 import importlib.util
+import re
+import zlib
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
+import numpy as np
 import pytest
+
+from heliograph.streams import Onsets
+from support.records import every_record
 
 ROOT = Path(__file__).parents[2]
 
@@ -40,3 +47,20 @@ def test_ranges_are_told_in_words(make_wire: ModuleType, name: str, words: str) 
     from heliograph import messages  # noqa: PLC0415 - by name
 
     assert make_wire.type_words(getattr(messages, name)) == words
+
+
+def test_the_recipe_for_onsets_reads_what_was_sent() -> None:
+    recipe = re.search(r"```python\n(raw = .*?)```", (ROOT / "docs" / "wire.md").read_text(encoding="utf-8"), re.DOTALL)
+    assert recipe is not None
+    onsets = every_record()[1]
+    assert isinstance(onsets, Onsets)
+    read: dict[str, Any] = {"np": np, "zlib": zlib, "body": onsets.to_body()}
+    exec(recipe[1], read)  # the page's own text
+    for name, column in (
+        ("tick", onsets.tick),
+        ("x", onsets.x_px),
+        ("y", onsets.y_px),
+        ("on", onsets.on_count),
+        ("off", onsets.off_count),
+    ):
+        assert read[name].tolist() == column.tolist()

@@ -51,7 +51,7 @@ def every_record() -> list[Message]:
             tick=np.array([0, 1, 1], np.uint16),
             x_px=np.array([3, 4, 639], np.uint16),
             y_px=np.array([5, 5, 479], np.uint16),
-            on_count=np.array([2, 0, 255], np.uint8),
+            on_count=np.array([2, 0, 15], np.uint8),
             off_count=np.array([0, 1, 0], np.uint8),
         ),
         Tracks(
