@@ -25,6 +25,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -225,7 +226,9 @@ def makers() -> dict[str, list[tuple[dict[str, Any], Callable[[FlowScene], Any]]
     def centroid(extra: float, ticks: int) -> Callable[[FlowScene], Any]:
         return lambda scene: CentroidFlow(scene.centres, scene.radius_px + extra, ticks)
 
-    orchard = itertools.product((0.0, 0.5), (5.0, 10.0), ((0, 1.0), (3, 0.005)))
+    # Raw input, or what our own network gets.
+    raw = tuple(replace(scale, silence_ticks=0) for scale in FlowSettings().scales)
+    orchard = itertools.product((0.0, 0.5), (5.0, 10.0), (("raw", raw, 1.0), ("ours", FlowSettings().scales, 0.001)))
     planes = itertools.product((2, 3), (6.0, 10.0), (0.5, 1.5))
     return {
         "network": [({}, of(FlowSettings()))],
@@ -236,10 +239,10 @@ def makers() -> dict[str, list[tuple[dict[str, Any], Callable[[FlowScene], Any]]
         ],
         "orchard": [
             (
-                {"l_tau": a, "v_th": b, "silence_ticks": c, "noise_share": d},
-                of(FlowSettings(l_tau=a, v_th=b, silence_ticks=c, noise_share=d, readout="population")),
+                {"l_tau": a, "v_th": b, "input": name},
+                of(FlowSettings(scales=scales, l_tau=a, v_th=b, noise_share=share, readout="population")),
             )
-            for a, b, (c, d) in orchard
+            for a, b, (name, scales, share) in orchard
         ],
         "centroid": [
             ({"extra_px": a, "ticks": b}, centroid(a, b)) for a, b in itertools.product((1.0, 4.0), (8, 16, 32))

@@ -94,13 +94,18 @@ def test_the_surroundings_are_fitted_with_their_roll_past_beacons_of_their_own_m
     scene = FlowScene("texture", speed_px_s, 200.0, omega_rad_s=omega, noise_hz=5e5, seed=12)
     beacons = FlowScene("discs", 300.0, 20.0, seed=13)
     flow = pyramid(scene)
-    for ground, lights in zip(scene.onsets(0.4), beacons.onsets(0.4), strict=True):
+    x, y = (column.ravel() for column in np.meshgrid((20.0, 80.0, 140.0), (20.0, 60.0, 100.0)))
+    true = np.stack(scene.flow(x, y))
+    errors = []
+    for ground, lights in zip(scene.onsets(0.6), beacons.onsets(0.6), strict=True):
         flow.feed(merged(ground, lights))
-    motion = flow.surroundings()
-    assert motion is not None
-    at = np.array([motion.at(x, y) for x in (20, 80, 140) for y in (20, 60, 100)])
-    true = np.array([scene.flow(x, y) for x in (20, 80, 140) for y in (20, 60, 100)])
-    assert np.hypot(*(at - true).T).mean() < 0.12 * np.hypot(*true.T).mean()
+        motion = flow.surroundings() if ground.t1_us >= 300_000 and ground.t1_us % 50_000 == 0 else None
+        # Below .3 is no answer: this view is small, and of few patches.
+        if motion is not None and motion.confidence >= 0.3:
+            assert motion.at(20.0, 100.0) == pytest.approx(np.ravel(motion.along(np.array([20.0]), np.array([100.0]))))
+            errors.append(np.hypot(*(np.stack(motion.along(x, y)) - true)).mean() / np.hypot(*true).mean())
+    assert len(errors) >= 5
+    assert np.median(errors) < 0.12
 
 
 def merged(a: Onsets, b: Onsets) -> Onsets:
@@ -209,7 +214,7 @@ def test_a_network_of_ones_own_runs_at_every_scale() -> None:
     ("scale", "tick_us", "pool_px", "expected"),
     [
         (Scale(10_000, 2), 5_000, 1, Scale(10_000, 2)),
-        (Scale(25_000, 1), 5_000, 2, Scale(50_000, 2)),
+        (Scale(25_000, 1, 3), 5_000, 2, Scale(50_000, 2, 3)),
         (Scale(5_000, 3), 2_000, 1, Scale(4_000, 3)),
         (Scale(5_000, 3), 10_000, 1, Scale(10_000, 6)),
         (Scale(5_000, 3), 5_000, 4, Scale(5_000, 4)),
@@ -226,7 +231,7 @@ def test_scales_are_fitted_to_coarser_streams_and_keep_their_speeds(
 @pytest.mark.parametrize(
     "change",
     [
-        {"scales": ()}, {"l_tau": 1.0}, {"v_th": 0.0}, {"silence_ticks": -1}, {"noise_share": 0.0}, {"readout": "best"},
+        {"scales": ()}, {"l_tau": 1.0}, {"v_th": 0.0}, {"noise_share": 0.0}, {"readout": "best"},
         {"hold_ticks": 0}, {"limit_pixels": 0},
     ],
 )  # fmt: skip
@@ -235,6 +240,8 @@ def test_a_setting_out_of_range_is_an_operators_error(change: dict[str, object])
         FlowSettings(**change)  # type: ignore[arg-type]  # wrong on purpose
     with pytest.raises(ConfigError, match="pool_px"):
         Scale(1, 0)
+    with pytest.raises(ConfigError, match="silence_ticks"):
+        Scale(1, 1, -1)
 
 
 def test_warming_asks_for_nothing() -> None:

@@ -32,11 +32,12 @@ from heliograph_services.tracker.flow.spikes import TICKS, Runtime
 from heliograph_services.tracker.flow.surroundings import Motion, fit_motion
 
 Floats = npt.NDArray[np.float64]
+_Recent = tuple[Floats, Floats, Floats, Floats, Floats]
 
 # Beyond its own range a scale answers only as far as rounding blurs it.
 RANGE_SLACK: Final = 1.25
-# A whole-view fit looks at the newest samples; more of them cost time and say little more.
-SURROUNDINGS_LIMIT: Final = 4_000
+# More samples in a fit of the whole view cost time and say little more.
+SURROUNDINGS_LIMIT: Final = 1_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,15 +164,17 @@ class FlowPyramid:
             return None
         best: Motion | None = None
         centre = (self._size[0] - 1) / 2, (self._size[1] - 1) / 2
-        for run in self._scales:
-            samples = run.recent(at_us)
-            if samples is None:
-                continue
-            x, y, vx, vy, weight = (column[-SURROUNDINGS_LIMIT:] for column in samples)
-            motion = fit_motion((x, y, vx, vy, weight), *centre)
+        seen = [(run, run.some(at_us)) for run in self._scales]
+        for _, samples in seen:
+            motion = fit_motion(samples, *centre)
             if motion is not None and (best is None or motion.confidence > best.confidence):
                 best = motion
-        return best
+        if best is None:
+            return None
+        # A view that rolls has all speeds: each scale adds what it sees where its own speeds are.
+        parts = [run.within(best, samples) for run, samples in seen]
+        x, y, vx, vy, weight = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+        return fit_motion((x, y, vx, vy, weight), *centre, best) or best
 
 
 def fitted(scale: Scale, tick_us: int, pool_px: int) -> Scale:
@@ -185,7 +188,7 @@ def fitted(scale: Scale, tick_us: int, pool_px: int) -> Scale:
     if ticks * tick_us > 1.5 * step_us:
         wider = round(pool / pool_px * ticks * tick_us / step_us)
         pool = max(1, wider) * pool_px
-    return Scale(ticks * tick_us, pool)
+    return Scale(ticks * tick_us, pool, scale.silence_ticks)
 
 
 class _ScaleRun:
@@ -210,9 +213,10 @@ class _ScaleRun:
         self._counters = counters
         self._limit = settings.limit_pixels
         self._tick_us = tick_us
-        self._intake = Intake(columns, rows, scale.pool_px // pool_px, settings.silence_ticks, settings.noise_share)
+        self._intake = Intake(columns, rows, scale.pool_px // pool_px, scale.silence_ticks, settings.noise_share)
         self._runtime = runtime(network, columns, rows)
         self._reader = Reader(network, columns, rows, settings.readout == "fit")
+        self._recent: tuple[int, _Recent | None] | None = None  # the last answer of `recent`, until more is fed
         self._now: int | None = None  # the tick that is being collected
         self._quiet = TICKS  # ticks without input
         self._hold_us = settings.hold_ticks * scale.step_us
@@ -246,6 +250,7 @@ class _ScaleRun:
 
     def forget(self, t0_us: int) -> None:
         """Drop the samples that answer nothing from t0 on."""
+        self._recent = None
         while self._held and t0_us - self._held[0].t_us > self._hold_us:
             self._held.popleft()
 
@@ -259,8 +264,29 @@ class _ScaleRun:
             return 0.0, 0.0, 0.0
         return float(vx), float(vy), float(confidence)
 
-    def recent(self, at_us: int) -> tuple[Floats, Floats, Floats, Floats, Floats] | None:
+    def recent(self, at_us: int) -> _Recent | None:
         """Return x, y (moved on to at_us), vx, vy and weight of the samples that still count; None without any."""
+        # Many places are asked at one time.
+        if self._recent is None or self._recent[0] != at_us:
+            self._recent = at_us, self._moved(at_us)
+        return self._recent[1]
+
+    def some(self, at_us: int) -> _Recent:
+        """Return `recent`, of evenly chosen samples if there are many."""
+        recent = self.recent(at_us)
+        if recent is None:
+            return (np.empty(0),) * 5
+        x, y, vx, vy, weight = (column[:: -(-len(column) // SURROUNDINGS_LIMIT)] for column in recent)
+        return x, y, vx, vy, weight
+
+    def within(self, motion: Motion, samples: _Recent) -> _Recent:
+        """Return the samples at whose places the motion has a speed of this scale."""
+        speed = np.hypot(*motion.along(samples[0], samples[1]))
+        mine = (speed >= self._range[0]) & (speed <= self._range[1])
+        x, y, vx, vy, weight = (column[mine] for column in samples)
+        return x, y, vx, vy, weight
+
+    def _moved(self, at_us: int) -> _Recent | None:
         held = [samples for samples in self._held if 0 <= at_us - samples.t_us <= self._hold_us]
         if not held:
             return None

@@ -35,6 +35,8 @@ TUKEY: Final = 4.685
 MAD: Final = 1.4826
 # The scale of residuals never falls below this share of the median speed: timing is rounded to ticks.
 SCALE_LEAST: Final = 0.05
+# A round that moves no parameter by more than this share of the least scale is the last.
+SETTLED: Final = 0.1
 # Rotation and zoom are held where the samples' places do not tell them from a translation, rad^2/s^2 in px^2.
 TURN_PRIOR: Final = 1e-3
 
@@ -71,9 +73,20 @@ class Motion:
             self.vy_px_s + self.omega_rad_s * dx + self.zoom_s * dy,
         )
 
+    def along(self, x_px: Floats, y_px: Floats) -> tuple[Floats, Floats]:
+        """Return (n,) vx and vy at (n,) places, px/s."""
+        dx, dy = x_px - self.x_px, y_px - self.y_px
+        return (
+            self.vx_px_s - self.omega_rad_s * dy + self.zoom_s * dx,
+            self.vy_px_s + self.omega_rad_s * dx + self.zoom_s * dy,
+        )
+
 
 def fit_motion(
-    samples: tuple[Floats, Floats, Floats, Floats, Floats], centre_x_px: float, centre_y_px: float
+    samples: tuple[Floats, Floats, Floats, Floats, Floats],
+    centre_x_px: float,
+    centre_y_px: float,
+    start: Motion | None = None,
 ) -> Motion | None:
     """Return the motion that most samples share, or None if they are too few.
 
@@ -82,6 +95,7 @@ def fit_motion(
             the weights, above 0.
         centre_x_px: the image's centre.
         centre_y_px: the image's centre.
+        start: where to begin, of the same centre; without it all samples count alike at first.
     """
     x_px, y_px, vx_px_s, vy_px_s, weight = samples
     n = len(x_px)
@@ -98,22 +112,31 @@ def fit_motion(
     share = weight / weight.sum()
     robust = np.ones(n)
     p, residual = np.zeros(4), np.zeros(n)
+    if start is not None:
+        p = np.array([start.vx_px_s, start.vy_px_s, start.omega_rad_s * spread, start.zoom_s * spread])
+        residual, robust = _weighed(along @ p - speed, share, least)
     for _ in range(ROUNDS):
         w = share * robust
         normal = (along * w[:, None]).T @ along + ACROSS * (across * w[:, None]).T @ across
         normal += np.diag([1e-9, 1e-9, TURN_PRIOR, TURN_PRIOR])
-        p = np.linalg.solve(normal, along.T @ (w * speed))
-        residual = along @ p - speed
-        scale = max(least, MAD * _weighted_median(np.abs(residual), share))
-        robust = np.clip(1 - (residual / (TUKEY * scale)) ** 2, 0, None) ** 2
+        before, p = p, np.linalg.solve(normal, along.T @ (w * speed))
+        residual, robust = _weighed(along @ p - speed, share, least)
         if not robust.any():
             return None
+        if np.abs(p - before).max() < SETTLED * least:
+            break
     agrees = float(share @ (np.abs(residual) <= 2 * np.maximum(least, 0.1 * speed)))
     evidence = float(weight.sum())
     confidence = agrees * evidence / (evidence + EVIDENCE_HALF)
     return Motion(
         float(p[0]), float(p[1]), float(p[2] / spread), float(p[3] / spread), centre_x_px, centre_y_px, confidence, n
     )
+
+
+def _weighed(residual: Floats, share: Floats, least: float) -> tuple[Floats, Floats]:
+    """Return the residuals, and Tukey's weights at their own scale."""
+    scale = max(least, MAD * _weighted_median(np.abs(residual), share))
+    return residual, np.clip(1 - (residual / (TUKEY * scale)) ** 2, 0, None) ** 2
 
 
 def _rows(ux: Floats, uy: Floats, dx: Floats, dy: Floats) -> Floats:
