@@ -117,14 +117,16 @@ def moving(
         path = _circle(rng, view, how, speed) if i % 2 else _thrown(rng, view, how, speed, seconds)
         what = "fresh = true" if fresh else f"payload = {payloads[i]}"
         lights.append(_beacon(rng, view, f"b{i:02d}", what, bit_rate, path))
-    return Script(_head(view, texture=texture) + "".join(lights), seconds)
+    return Script(_head(view, seconds, texture=texture) + "".join(lights), seconds)
 
 
-def _head(view: View, *, texture: bool, camera: str = "") -> str:
+def _head(view: View, seconds: float, *, texture: bool, camera: str = "") -> str:
     if not camera:
         camera = SWAY if texture else f"path = {{ kind = 'still', at_m = [0, 0, {HEIGHT_M}] }}"
     mode = f"mode = '{view.mode}'\n" if view.mode else ""
-    return f"[camera]\nsensor = '{view.sensor}'\n{mode}{camera}\n{TEXTURE if texture else ''}"
+    return (
+        f"duration_s = {seconds:.3f}\n[camera]\nsensor = '{view.sensor}'\n{mode}{camera}\n{TEXTURE if texture else ''}"
+    )
 
 
 def _beacon(rng: np.random.Generator, view: View, name: str, what: str, bit_rate: float, path: str) -> str:
@@ -159,7 +161,7 @@ def _circle(rng: np.random.Generator, view: View, how: Move, speed_px_s: float) 
 
 
 def _thrown(rng: np.random.Generator, view: View, how: Move, speed_px_s: float, seconds: float) -> str:
-    """Return a line thrown back at the borders for longer than the run, then the same way back."""
+    """Return a line thrown back at the borders for longer than the run."""
     low = MARGIN_PX + 24.0
     side = np.array([view.width - 2.0 * low, view.height - 2.0 * low])
     at = rng.uniform(0.0, 1.0, 2) * side
@@ -173,13 +175,16 @@ def _thrown(rng: np.random.Generator, view: View, how: Move, speed_px_s: float, 
         at, t = np.clip(at + v * step, 0.0, side), t + step
         v[hit] = -v[hit]
         points.append((t, *(at + low)))
-    # The average over a turn looks back beyond 0: what it sees there is the way back, so the thing sets off from rest.
-    points += [(2.0 * t - when, x, y) for when, x, y in reversed(points[:-1])]
     return _waypoints(view, points, how.turn_s)
 
 
 def _waypoints(view: View, points: list[tuple[float, float, float]], smooth_s: float) -> str:
-    places = [(t, *view.metres(x, y)) for t, x, y in points]
+    """Return the path through points (s, px, px), and the same way back."""
+    # A path begins anew without a jump; and the average over a turn, which looks back beyond 0, sees the way back
+    # there, so that the thing sets off from rest.
+    last_s = points[-1][0]
+    back = [(2.0 * last_s - t, x, y) for t, x, y in reversed(points[:-1])]
+    places = [(t, *view.metres(x, y)) for t, x, y in points + back]
     rows = ", ".join(f"[{t:.6f}, {x:.6f}, {y:.6f}, 0.0]" for t, x, y in places)
     return f"{{ kind = 'waypoints', smooth_s = {smooth_s}, points = [{rows}] }}"
 
@@ -244,7 +249,7 @@ def crossing(seed: int, kind: str, bit_rate: float, sensor: str = "mini") -> Scr
         for k in (0, 1)
     ]  # fmt: skip
     about = {"angle_deg": angle, "faster_px_s": float(speeds.max()), "slower_px_s": float(speeds.min())}
-    return Script(_head(view, texture=False) + "".join(lights), 2.0 * half_s, (half_s,), about)
+    return Script(_head(view, 2.0 * half_s, texture=False) + "".join(lights), 2.0 * half_s, (half_s,), about)
 
 
 # ---- occlusions ------------------------------------------------------------------------------------------------------
@@ -295,7 +300,7 @@ def occlusions(seed: int, *, turning: bool, panning: bool, bit_rate: float, sens
             f"attitude = {{ points = [[0.0, 0.0, {-90.0 - swing:.4f}, 0.0],"
             f" [{seconds + 0.1:.4f}, 0.0, {-90.0 + swing:.4f}, 0.0]] }}"
         )
-    text = _head(view, texture=panning, camera=camera) + "".join(posts) + "".join(lights)
+    text = _head(view, seconds, texture=panning, camera=camera) + "".join(posts) + "".join(lights)
     return Script(text, seconds, tuple(at))
 
 

@@ -77,14 +77,21 @@ class Outcome:
 
 @dataclass(slots=True)
 class Said:
-    """What one reader published, in its order, and the CPU time that it took."""
+    """What one reader published, in its order, and the CPU time that it took.
+
+    Args:
+        frames: all messages.
+        tracks: all messages.
+        states: identities, each with the time up to which the camera had sent events when it was published.
+        cpu_s: of this reader alone.
+    """
 
     frames: list[Frames] = field(default_factory=list)
     tracks: list[Tracks] = field(default_factory=list)
-    states: list[Identification] = field(default_factory=list)
+    states: list[tuple[int, Identification]] = field(default_factory=list)
     cpu_s: float = 0.0
 
-    def take(self, messages: Sequence[Message]) -> None:
+    def take(self, messages: Sequence[Message], now_us: int) -> None:
         """Keep what studies look at."""
         for message in messages:
             if isinstance(message, Frames):
@@ -92,7 +99,7 @@ class Said:
             elif isinstance(message, Tracks):
                 self.tracks.append(message)
             elif isinstance(message, Identification):
-                self.states.append(message)
+                self.states.append((now_us, message))
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +164,7 @@ def episode(setting: Setting, readers: Sequence[Reader] = ("ours",)) -> Episode:
             events += sum(len(message.batch) for message in step.messages if isinstance(message, Events))
             for name, reader in listening.items():
                 began_s = time.process_time()
-                said[name].take(reader.feed(step.messages))
+                said[name].take(reader.feed(step.messages), step.t1_us)
                 said[name].cpu_s += time.process_time() - began_s
             began_s = time.process_time()
         return Episode(_paths(setting, stream), truths, said, events, source_s, setting.duration_s)

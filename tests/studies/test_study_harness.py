@@ -1,0 +1,182 @@
+"""The tracker's study itself: scores of readers whose worth is known, scenes that are what they say, a genie apart."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from scipy import stats
+
+from heliograph.messages import Frames, Identification, Message
+from heliograph_services.cli.studies import crowds, holding
+from heliograph_services.cli.studies.blocks import difference, lower_bound, share
+from heliograph_services.cli.studies.paths import TruePaths, true_paths
+from heliograph_services.cli.studies.running import Episode, Said, Setting, episode, run
+from heliograph_services.cli.studies.verdicts import RIGHT, WRONG, sent_frames, verdicts
+from heliograph_services.event_source.simulation.stream import SceneStream
+from heliograph_services.event_source.simulation.world.load import load_scenario
+
+SECONDS = 1.2
+THREE = crowds.moving(5, "mini", "slow", 2000.0, SECONDS, n=3, fresh=True, texture=False)
+SETTING = Setting(THREE.text, 5, SECONDS, {"protocol": "seed11", "bit_rate": 2000.0})
+
+
+@pytest.fixture(scope="module")
+def seen() -> Episode:
+    """Three slow beacons, before all readers."""
+    return episode(SETTING, ("genie", "told", "ours"))
+
+
+def paths_of(script: crowds.Script, folder: Path) -> TruePaths:
+    """Return the true paths of a scene; nothing is rendered."""
+    path = folder / "scene.toml"
+    path.write_text(script.text, encoding="utf-8")
+    return true_paths(SceneStream(load_scenario(str(path)), 0, "live"), round(script.seconds * 1e6))
+
+
+def published(seen: Episode, beacon: list[int] | None = None) -> Frames:
+    """Return what a receiver would publish that reads every frame, at the places of these beacons."""
+    sent = sent_frames(seen.truths, seen.paths)
+    place = np.array(beacon if beacon is not None else range(len(seen.paths.beacons)))[sent.beacon]
+    x_px, y_px = seen.paths.places(sent.t1_us)
+    at = np.arange(len(sent.t1_us))
+    n = len(at)
+    return Frames(
+        camera="cam0", t0_us=0, t1_us=1, t_us=sent.t1_us.tolist(), track=["1"] * n, protocol=["seed11"] * n,
+        beacon=[None] * n, payload=sent.payload.tolist(), x_px=x_px[place, at].tolist(),
+        y_px=y_px[place, at].tolist(), score=[1.0] * n,
+    )  # fmt: skip
+
+
+def test_a_perfect_receiver_scores_one(seen: Episode) -> None:
+    sent = sent_frames(seen.truths, seen.paths)
+    found = verdicts(sent, [published(seen)], seen.paths)
+    assert (found.outcome == RIGHT).all()
+    assert found.insertions == 0
+    assert found.off_px.max() == pytest.approx(0.0, abs=1e-9)
+    assert sent.visible.sum() > 100
+
+
+def test_a_receiver_that_swaps_two_beacons_reads_them_wrong(seen: Episode) -> None:
+    sent = sent_frames(seen.truths, seen.paths)
+    found = verdicts(sent, [published(seen, [1, 0, 2])], seen.paths)
+    swapped = sent.beacon < 2
+    assert (found.outcome[~swapped] == RIGHT).all()
+    # Every frame draws from 48 payloads: a few of the other's are the same.
+    assert np.mean(found.outcome[swapped] == WRONG) > 0.85
+
+
+def test_frames_count_as_the_metrics_sink_counts_them(seen: Episode) -> None:
+    accuracy = run(SETTING).summary.accuracy
+    assert accuracy is not None
+    sent = sent_frames(seen.truths, seen.paths)
+    found = verdicts(sent, seen.said["ours"].frames, seen.paths)
+    assert accuracy.mar_visible.n == sent.visible.sum()
+    assert accuracy.mar_visible.right == ((found.outcome == RIGHT) & sent.visible).sum()
+
+
+def test_what_others_are_told_changes_nothing_for_the_reader_under_test(seen: Episode) -> None:
+    alone = episode(SETTING).said["ours"]
+    beside = seen.said["ours"]
+
+    def bodies(said: Said) -> list[dict[str, object]]:
+        messages: list[Message] = [*said.frames, *said.tracks, *(state for _, state in said.states)]
+        return [message.to_body() for message in messages]
+
+    assert bodies(alone) == bodies(beside)
+    assert len(alone.frames) > 0
+
+
+def test_the_genie_reads_nearly_every_frame_of_slow_beacons(seen: Episode) -> None:
+    sent = sent_frames(seen.truths, seen.paths)
+    right = {name: np.mean(verdicts(sent, one.frames, seen.paths).outcome[sent.visible] == RIGHT)
+             for name, one in seen.said.items()}  # fmt: skip
+    assert right["genie"] > 0.99
+    assert right["genie"] >= max(right.values()) - 0.01
+
+
+def test_the_genie_hears_all_of_a_beacon_s_light_and_little_else(seen: Episode, tmp_path: Path) -> None:
+    del seen
+    quiet = crowds.moving(5, "mini", "slow", 2000.0, 0.2, n=3, fresh=True, texture=False).text
+    override = "override = { 'pixel.shot_noise_hz' = 0.0, 'pixel.leak_hz' = 0.0, 'pixel.hot_pixels' = 0.0 }\n"
+    text = quiet.replace("[camera]\n", f"[camera]\n{override}")
+    heard = run(Setting(text, 5, 0.2, reader="genie")).counters
+    assert heard["events_heard"] > 0.99 * heard["events"] > 1000
+
+
+def test_identities_published_at_each_other_s_places_are_two_swaps(seen: Episode) -> None:
+    paths = msgspec_paths(seen.paths, [42, 21, 51])
+    said = Said()
+    for t_us, order in ((500_000, (0, 1, 2)), (600_000, (1, 0, 2)), (700_000, (1, 0, 2)), (800_000, (0, 1, 2))):
+        said.take([state(paths, t_us, place, of) for place, of in enumerate(order)], t_us + 5_000)
+    found = holding.held(said, paths)
+    assert (found.swaps, found.confused, found.right, found.nowhere) == (2, 4, 8, 0)
+    assert found.first_us == {"b00": 505_000, "b01": 505_000, "b02": 505_000}
+
+
+def msgspec_paths(paths: TruePaths, payloads: list[int]) -> TruePaths:
+    """Return paths whose beacons have payloads of their own."""
+    beacons = [msgspec.structs.replace(b, fresh=False, payload=p) for b, p in zip(paths.beacons, payloads, strict=True)]
+    return TruePaths(
+        tuple(beacons), paths.x_px, paths.y_px, paths.radius_px, paths.reach_px, paths.in_view, paths.visible
+    )
+
+
+def state(paths: TruePaths, t_us: int, place: int, of: int) -> Identification:
+    """Return the identity of one beacon, published at the place of another."""
+    x_px, y_px = paths.places([t_us])
+    return Identification(
+        camera="cam0", track=str(place), t_us=t_us, since_us=0, protocol="seed11", beacon="x",
+        payload=paths.beacons[of].payload, x_px=float(x_px[place, 0]), y_px=float(y_px[place, 0]), vx_px_s=0.0,
+        vy_px_s=0.0, bearing=None, confidence=1.0, margin=1.0, frames_used=4, change="refreshed", lost=False,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("sensor", "move"), [("mini", "slow"), ("mini", "fast"), ("imx636", "fast")])
+def test_movers_stay_on_the_sensor_at_the_speeds_that_were_drawn(sensor: str, move: str, tmp_path: Path) -> None:
+    paths = paths_of(crowds.moving(1, sensor, move, 1000.0, 3.0, fresh=True, texture=False), tmp_path)
+    assert paths.in_view.all()
+    vx, vy = paths.velocities(np.arange(paths.x_px.shape[1] - 1) * 1000)
+    top = np.quantile(np.hypot(vx, vy), 0.9, axis=1)
+    low, high = crowds.MOVES[move].speed_px_s
+    assert (top >= low * 0.99).all()
+    assert (top <= high * 1.01).all()
+
+
+@pytest.mark.parametrize("kind", list(crowds.KINDS))
+def test_crossings_pass_within_two_pixels_half_way(kind: str, tmp_path: Path) -> None:
+    script = crowds.crossing(3, kind, 1000.0)
+    paths = paths_of(script, tmp_path)
+    away = np.hypot(paths.x_px[0] - paths.x_px[1], paths.y_px[0] - paths.y_px[1])
+    assert away[round(script.at_s[0] * 1000)] <= 2.1
+    assert away[0] >= 20.0
+    assert paths.in_view.all()
+
+
+@pytest.mark.parametrize("turning", [False, True])
+@pytest.mark.parametrize("panning", [False, True])
+def test_each_beacon_is_hidden_once_for_half_a_second(turning: bool, panning: bool, tmp_path: Path) -> None:
+    paths = paths_of(crowds.occlusions(1, turning=turning, panning=panning, bit_rate=1000.0), tmp_path)
+    assert paths.in_view.all()
+    hidden = ~paths.visible
+    assert np.abs(hidden.sum(axis=1) - 500).max() <= 3
+    assert (np.diff(hidden.astype(int), axis=1) == 1).sum(axis=1).tolist() == [1] * len(paths.beacons)
+
+
+def test_bounds_are_those_of_scipy() -> None:
+    for k, n in ((196, 200), (200, 200), (3, 10), (0, 5)):
+        expected = stats.binomtest(k, n).proportion_ci(0.9, "exact").low
+        assert lower_bound(k, n) == pytest.approx(expected, abs=1e-9)
+    draw = np.random.default_rng(2)
+    sent = draw.integers(1, 60, 300)
+    right = draw.binomial(sent, 0.9)
+    found = share(right, sent)
+    theirs = stats.bootstrap(
+        (right, sent), lambda a, b, axis: a.sum(axis=axis) / b.sum(axis=axis), paired=True, method="percentile",
+        n_resamples=4000, random_state=3, vectorized=True,
+    ).confidence_interval  # fmt: skip
+    assert (found.low, found.high) == (pytest.approx(theirs.low, abs=1e-3), pytest.approx(theirs.high, abs=1e-3))
+    assert difference(right, right, sent).value == 0.0
+    assert share(sent, sent).low == pytest.approx(1.0 - (1.0 - 0.05 ** (1.0 / 300)))
