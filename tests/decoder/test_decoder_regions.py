@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -12,17 +10,43 @@ from hypothesis import strategies as st
 
 from heliograph.errors import Refusals
 from heliograph.events import EventBatch
-from heliograph_services.decoder.regions import Place, Regions, mixed
-from heliograph_services.decoder.routing import NEVER, OMEGA_PER_S, TRIM, trimmed_mean
+from heliograph_services.decoder.regions import Doubt, Place, Regions, column
+from heliograph_services.decoder.routing import (
+    BINS_PER_PX,
+    ETA,
+    NEVER,
+    Q_MIN,
+    R_0,
+    TRIM,
+    Q,
+    carry,
+    correct,
+    trimmed_mean,
+)
 from support.blinkers import Disc, Path, scene, straight
 
 WIDTH, HEIGHT = 160, 120
 STEP_US, WINDOW_US = 1_000, 5_000
 
 
-def regions(places: list[Place], now_us: int = 0) -> Regions:
+SURE = Doubt(0.01, 0.0, 100.0)
+
+
+def load(made: Regions, places: list[Place], now_us: int = 0, sure: Doubt = SURE) -> None:
+    states = [column(at, 3.0, sure)[:, None] for at in places]
+    made.load(np.concatenate([np.zeros((len(column(ORIGIN, 3.0, sure)), 0)), *states], axis=1), never(places), now_us)
+
+
+def never(places: list[Place]) -> npt.NDArray[np.int64]:
+    return np.full(len(places), NEVER)
+
+
+ORIGIN = Place(0.0, 0.0, 0.0, 0.0, 7.0)
+
+
+def regions(places: list[Place], sure: Doubt = SURE) -> Regions:
     made = Regions(WIDTH, HEIGHT, 32, STEP_US, 80.0)
-    made.load(places, [NEVER] * len(places), now_us)
+    load(made, places, 0, sure)
     return made
 
 
@@ -30,8 +54,8 @@ def owners(x: npt.NDArray[np.uint16], y: npt.NDArray[np.uint16], places: list[Pl
     """Return the index of the nearest region's track a pixel, -1 for none: the definition, pixel by pixel."""
     found: list[int] = []
     for px, py in zip(x.tolist(), y.tolist(), strict=True):
-        near = [(np.hypot(px - at.x_px, py - at.y_px), i) for i, at in enumerate(places)]
-        inside = [(d, i) for d, i in near if d <= places[i].reach_px]
+        near = [(np.hypot(px - at.x_px, py - at.y_px) / at.reach_px, i) for i, at in enumerate(places)]
+        inside = [(d, i) for d, i in near if d <= 1.0]
         found.append(min(inside)[1] if inside else -1)
     return found
 
@@ -48,19 +72,19 @@ place_of = st.builds(
 
 @settings(max_examples=40)
 @given(st.lists(st.lists(place_of, max_size=6), min_size=1, max_size=3), st.integers(0, 2**32 - 1))
-def test_each_event_goes_to_the_nearest_region_that_holds_it(layouts: list[list[Place]], seed: int) -> None:
+def test_each_event_goes_to_the_region_in_which_it_is_innermost(layouts: list[list[Place]], seed: int) -> None:
     rng = np.random.default_rng(seed)
     n = 400
-    made = regions([])
+    made = Regions(WIDTH, HEIGHT, 32, WINDOW_US, 80.0, self_centring=False)
     for k, places in enumerate(layouts):  # one after another: what was painted before must be gone
-        made.load(places, [NEVER] * len(places), k * WINDOW_US)
+        load(made, places, k * WINDOW_US)
         batch = EventBatch(
             np.sort(rng.integers(made.now_us, made.now_us + WINDOW_US, n, dtype=np.int64)),
             rng.integers(0, WIDTH, n, dtype=np.uint16),
             rng.integers(0, HEIGHT, n, dtype=np.uint16),
             rng.random(n) < 0.5,
         )
-        routed = made.route(batch, WINDOW_US, Refusals())
+        routed = made.follow(batch, WINDOW_US, Refusals())
         expected = owners(batch.x_px, batch.y_px, places)
         assert routed.outside == expected.count(-1)
         for i in range(len(places)):
@@ -76,7 +100,7 @@ def test_a_region_moves_within_a_window() -> None:
     t_us = np.arange(0, WINDOW_US, 100, dtype=np.int64)
     x_px = np.round(50.0 + 2e-3 * t_us).astype(np.uint16)
     batch = EventBatch(t_us, x_px, np.full(len(t_us), 60, np.uint16), np.ones(len(t_us), np.bool_))
-    assert made.route(batch, WINDOW_US, Refusals()).outside == 0
+    assert made.follow(batch, WINDOW_US, Refusals()).outside == 0
 
 
 @given(
@@ -91,10 +115,39 @@ def test_the_trimmed_mean_is_that_of_the_sorted_values(values: list[float]) -> N
         np.minimum(np.arange(1, len(binned) + 1), len(binned) - cut) - np.maximum(np.arange(len(binned)), cut), 0, 1
     )
     expected = float(np.sum(binned * weight) / np.sum(weight))
-    assert trimmed_mean(array, 9.0, np.zeros(200, np.int64)) == pytest.approx(expected, abs=1e-9)
+    half = 10 * BINS_PER_PX
+    counts = np.bincount(np.floor(array * BINS_PER_PX).astype(int) + half, minlength=2 * half).astype(np.int32)
+    assert trimmed_mean(counts, len(array), half) == pytest.approx(expected, abs=1e-9)
 
 
-def column(x_px: int, rows: int, t0_us: int, times: int) -> EventBatch:
+def test_prediction_and_correction_are_those_of_filterpy() -> None:
+    filterpy = pytest.importorskip("filterpy.kalman")
+    rng = np.random.default_rng(3)
+    state = column(Place(5.0, -3.0, 40.0, 7.0, 7.0), 3.0, Doubt(2.0, 1.5, 400.0))[:, None]
+    x_filter, y_filter = (filterpy.KalmanFilter(dim_x=2, dim_z=1) for _ in range(2))
+    for one, at in ((x_filter, (5.0, 40.0)), (y_filter, (-3.0, 7.0))):
+        one.x, one.P = np.array([[at[0]], [at[1]]]), np.array([[2.0, 1.5], [1.5, 400.0]])
+        one.H = np.array([[1.0, 0.0]])
+    for _ in range(50):
+        s, variance, z = rng.uniform(1e-3, 1e-2), rng.uniform(0.05, 0.2), rng.normal(0, 0.2, 2)
+        q = state[Q, 0]
+        carry(state, 1, s * 1e6)
+        for one in (x_filter, y_filter):
+            one.F = np.array([[1.0, s], [0.0, 1.0]])
+            one.Q = q * np.array([[s**3 / 3, s**2 / 2], [s**2 / 2, s]])
+            one.predict()
+        surprise = (z @ z) / (2 * (state[6, 0] + variance))
+        correct(state, 0, z[0], z[1], variance)
+        x_filter.update(x_filter.x[0, 0] + z[0], R=variance)
+        y_filter.update(y_filter.x[0, 0] + z[1], R=variance)
+        assert surprise < 12.5  # beyond it a residual is cut short
+        assert state[[0, 2], 0] == pytest.approx(x_filter.x[:, 0])
+        assert state[[1, 3], 0] == pytest.approx(y_filter.x[:, 0])
+        assert state[[6, 7, 8], 0] == pytest.approx(x_filter.P[[0, 0, 1], [0, 1, 1]])
+        assert state[Q, 0] == pytest.approx(max(q * np.exp(ETA * (min(surprise, 9.0) - 1)), Q_MIN))
+
+
+def column_of(x_px: int, rows: int, t0_us: int, times: int) -> EventBatch:
     """Return events of `rows` pixels in one column, each firing `times` times."""
     n = rows * times
     y_px = np.repeat(np.arange(60 - rows // 2, 60 - rows // 2 + rows, dtype=np.uint16), times)
@@ -103,14 +156,19 @@ def column(x_px: int, rows: int, t0_us: int, times: int) -> EventBatch:
 
 @pytest.mark.parametrize("times", [2, 50])
 def test_a_correction_follows_the_filters_equation_and_a_pixel_counts_twice_at_most(times: int) -> None:
-    made = regions([Place(50.0, 60.0, 0.0, 0.0, 8.0)])
-    made.follow(made.route(column(52, 5, 0, times), WINDOW_US, Refusals()), WINDOW_US)
+    made = regions([Place(50.0, 60.0, 0.0, 0.0, 8.0)], Doubt(0.5, 0.0, 0.0))
+    made.follow(column_of(52, 5, 0, times), STEP_US, Refusals())
     # The residual of 2 px falls into the bin whose middle is 2.125 px; 10 events count of however many.
-    theta, correction = np.exp(-OMEGA_PER_S * 5e-3), 10 / 16 * 2.125
-    at = made.place(0)
-    assert at.x_px == pytest.approx(50 + (1 - theta**2) * correction)
-    assert at.vx_px_s == pytest.approx((1 - theta) ** 2 * correction / 5e-3)
-    assert made.centred_us(0) == WINDOW_US
+    variance = 2.0 * (3.0**2 / 4 + 1 / 12) / 10 + R_0
+    assert made.place(0).x_px == pytest.approx(50 + 0.5 / (0.5 + variance) * 2.125, rel=1e-3)
+    assert made.centred_us()[0] == STEP_US
+
+
+def test_one_hot_pixel_is_no_measurement() -> None:
+    made = regions([Place(50.0, 60.0, 0.0, 0.0, 8.0)])
+    made.follow(column_of(54, 1, 0, 900), WINDOW_US, Refusals())
+    assert made.place(0).x_px == 50.0
+    assert made.centred_us()[0] == NEVER
 
 
 def follow(
@@ -135,14 +193,13 @@ def follow(
             np.concatenate([batch.on, np.ones(len(extra), np.bool_)])[order],
         )
     made = Regions(WIDTH * 8, HEIGHT * 8, 4, STEP_US, 80.0)
-    made.load([start], [NEVER], 0)
+    load(made, [start])
     heard = 0
     errors: list[float] = []
     for t0_us in range(0, end_us, WINDOW_US):
         first, behind = np.searchsorted(batch.t_us, [t0_us, t0_us + WINDOW_US])
-        routed = made.route(batch.part(int(first), int(behind)), WINDOW_US, Refusals())
+        routed = made.follow(batch.part(int(first), int(behind)), WINDOW_US, Refusals())
         heard += len(routed.t_us)
-        made.follow(routed, WINDOW_US)
         x, y = path(np.array([made.now_us / 1e6]))
         errors.append(float(np.hypot(made.place(0).x_px - x[0], made.place(0).y_px - y[0])))
     late = np.array(errors[20:])
@@ -181,36 +238,16 @@ def test_noise_alone_does_not_carry_a_region_away() -> None:
     made = regions([Place(80.0, 60.0, 0.0, 0.0, 7.0)])
     for t0_us in range(0, 1_000_000, WINDOW_US):
         first, behind = np.searchsorted(batch.t_us, [t0_us, t0_us + WINDOW_US])
-        made.follow(made.route(batch.part(int(first), int(behind)), WINDOW_US, Refusals()), WINDOW_US)
+        made.follow(batch.part(int(first), int(behind)), WINDOW_US, Refusals())
     assert made.place(0).away_px(Place(80.0, 60.0, 0.0, 0.0, 7.0)) < 1.0
-
-
-def test_what_is_told_counts_little_where_a_region_is_centred_and_all_where_it_is_blind() -> None:
-    own = Place(50.0, 60.0, 100.0, 0.0, 7.0)
-    told = Place(54.0, 60.0, 120.0, 0.0, 8.0)
-    centred = mixed(own, 1_000_000, told, 1_000_000, read=False)
-    assert centred.x_px == pytest.approx(50.2)
-    assert centred.vx_px_s == pytest.approx(101.0)
-    assert mixed(own, 950_000, told, 1_000_000, read=False).x_px == pytest.approx(52.0)
-    assert mixed(own, NEVER, told, 1_000_000, read=False).x_px == pytest.approx(54.0)
-    assert centred.reach_px == 8.0
-
-
-def test_a_region_jumps_to_where_it_is_told_unless_it_reads_where_it_is() -> None:
-    own = Place(50.0, 60.0, 0.0, 0.0, 7.0)
-    far = replace(own, x_px=90.0)
-    assert mixed(own, 1_000_000, far, 1_000_000, read=False).x_px == 90.0
-    assert mixed(own, 1_000_000, far, 1_000_000, read=True).x_px == pytest.approx(52.0)
 
 
 def test_one_pixel_is_never_re_centred() -> None:
     made = Regions(1, 1, 4, STEP_US, 80.0)
-    made.load([Place(0.0, 0.0, 0.0, 0.0, 2.0)], [NEVER], 0)
+    load(made, [Place(0.0, 0.0, 0.0, 0.0, 2.0)])
     n = 500
     batch = EventBatch(
         np.arange(n, dtype=np.int64), np.zeros(n, np.uint16), np.zeros(n, np.uint16), np.ones(n, np.bool_)
     )
-    routed = made.route(batch, WINDOW_US, Refusals())
-    assert len(routed.of(0)[0]) == n
-    made.follow(routed, WINDOW_US)
+    assert len(made.follow(batch, WINDOW_US, Refusals()).of(0)[0]) == n
     assert made.place(0) == Place(0.0, 0.0, 0.0, 0.0, 2.0)

@@ -1,49 +1,36 @@
 """The last raw events, for tracks that arrive later than their targets.
 
 A track comes with its state at an instant A that has passed. From A its path is followed back to its birth and forth to
-now through the kept windows, centred on its own events both ways (heliograph_services.decoder.routing); what it would
-have heard is given to its receiver first. So a track that arrives late loses nothing, as far back as the backlog goes.
+now through the kept windows, centred on its own events both ways (heliograph_services.decoder.routing; backwards in
+mirrored time, t -> -t, where all that is known of filters holds). What it would have heard is given to its receiver
+first. So a track that arrives late loses nothing, as far back as the backlog goes; and a region that has lost its
+target catches up with it from A.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from heliograph.errors import Refusals
 from heliograph.events import EventBatch, Flags, Times
-from heliograph_services.decoder.regions import Place, Regions, Routed
-from heliograph_services.decoder.routing import NEVER, Floats
+from heliograph_services.decoder.regions import Regions, Routed
+from heliograph_services.decoder.routing import NEVER, P_XV, US_PER_S, VX, VY, Floats, Ints, X, Y
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Trail:
-    """Where a track was before it was known: centres (px) at rising times, one a window."""
-
-    t_us: Times
-    x_px: Floats
-    y_px: Floats
-
-    def at(self, t_us: int, otherwise: Place) -> Place:
-        """Return the place at t_us, interpolated; behind the trail's end, what is otherwise known."""
-        if not len(self.t_us) or t_us > int(self.t_us[-1]):
-            return otherwise
-        x_px = float(np.interp(t_us, self.t_us, self.x_px))
-        y_px = float(np.interp(t_us, self.t_us, self.y_px))
-        return replace(otherwise, x_px=x_px, y_px=y_px)
+_MIRROR: Final = np.array([[1.0], [1.0], [-1.0], [-1.0]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Heard:
-    """What a track would have heard, along which trail, and where that leads it now."""
+    """What a track would have heard, and along which trail: x, y, vx, vy, (4, m), at m rising times up to now."""
 
     t_us: Times
     on: Flags
-    trail: Trail
-    now: Place
-    centred_us: int
+    trail_us: Ints
+    trail: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,57 +74,80 @@ class Backlog:
         while self._windows and (self._windows[0].t0_us < oldest_us or self.events > self._limit_events):
             self.events -= len(self._windows.popleft().batch)
 
-    def replay(
-        self, regions: Regions, places: list[Place], born_us: list[int], as_of_us: int, now_us: int, refusals: Refusals
-    ) -> list[Heard]:
-        """Return what new tracks would have heard.
+    def replay(self, regions: Regions, states: Floats, born_us: list[int], as_of_us: int, now_us: int) -> list[Heard]:
+        """Return what new tracks would have heard; `regions` then holds them as of now.
 
         Args:
             regions: a free set of regions of the same sensor.
-            places: where the tracks are at as_of_us.
+            states: (ROWS, k), what the tracks are at as_of_us.
             born_us: their births; nothing before them is heard.
-            as_of_us: the instant of the places; may be later than now_us.
+            as_of_us: the instant of the states; may be later than now_us.
             now_us: the end of the last kept window.
-            refusals: where events off the sensor would be counted; they have been, so it is the caller's scratch.
         """
-        n = len(places)
-        never = [NEVER] * n
-        pivot_us = min(as_of_us - (as_of_us - now_us) % self._window_us, now_us)
-        start = [at.after(pivot_us - as_of_us) for at in places]
+        n = states.shape[1]
+        pivot_us, start = self._pivot(states, as_of_us, now_us)
         earlier = [w for w in self._windows if min(born_us) - self._window_us < w.t0_us < pivot_us]
-        later = [w for w in self._windows if w.t0_us >= pivot_us]
+        regions.load(_mirrored(start), np.full(n, NEVER), -pivot_us)
+        before = self._pass(regions, [_back(w, self._window_us) for w in reversed(earlier)])
+        # Centred on the way back is centred at the pivot: the forward pass begins there.
+        centred = np.where(regions.centred_us() == NEVER, NEVER, pivot_us)
+        after = self._forth(regions, start, centred, pivot_us, now_us)
 
-        regions.load(start, never, pivot_us)
-        before = self._pass(regions, earlier[::-1], -self._window_us, refusals)
-        before.pieces.reverse()
-        before.trail.reverse()
-
-        centred = [NEVER if regions.centred_us(i) == NEVER else pivot_us for i in range(n)]
-        regions.load(start, centred, pivot_us)
-        after = self._pass(regions, later, self._window_us, refusals)
-        regions.advance(now_us - regions.now_us)
-
-        trail = [*before.trail, (pivot_us, np.array([[at.x_px, at.y_px] for at in start]).T), *after.trail]
+        back = [(-t_us, motion * _MIRROR) for t_us, motion in reversed(before.trail)]
+        trail = [*back, (pivot_us, start[[X, Y, VX, VY]]), *after.trail]
         times = np.array([t_us for t_us, _ in trail], np.int64)
-        centres = np.array([xy for _, xy in trail])
+        motions = np.array([motion for _, motion in trail])
         heard: list[Heard] = []
         for i in range(n):
-            t_us, on = _joined([routed.of(i) for routed in (*before.pieces, *after.pieces)], born_us[i])
-            path = Trail(times, centres[:, 0, i].copy(), centres[:, 1, i].copy())
-            heard.append(Heard(t_us, on, path, regions.place(i), regions.centred_us(i)))
+            pieces = [_unmirrored(routed.of(i)) for routed in reversed(before.pieces)]
+            t_us, on = _joined(pieces + [routed.of(i) for routed in after.pieces], born_us[i])
+            heard.append(Heard(t_us, on, times, motions[:, :, i].T.copy()))
         return heard
 
-    @staticmethod
-    def _pass(regions: Regions, windows: list[_Window], window_us: int, refusals: Refusals) -> _Passed:
-        """Follow all regions through the windows, forth or (window_us negative) back."""
+    def catch_up(self, regions: Regions, states: Floats, as_of_us: int, now_us: int) -> None:
+        """Follow states of the past to now: `regions` then holds them; arguments as for `replay`."""
+        pivot_us, start = self._pivot(states, as_of_us, now_us)
+        self._forth(regions, start, np.full(states.shape[1], NEVER), pivot_us, now_us)
+
+    def _pivot(self, states: Floats, as_of_us: int, now_us: int) -> tuple[int, Floats]:
+        """Return the beginning of a window at or before as_of_us, and the states carried there."""
+        pivot_us = min(as_of_us - (as_of_us - now_us) % self._window_us, now_us)
+        start = states.copy()
+        start[[X, Y]] += start[[VX, VY]] * ((pivot_us - as_of_us) / US_PER_S)
+        return pivot_us, start
+
+    def _forth(self, regions: Regions, start: Floats, centred_us: Ints, pivot_us: int, now_us: int) -> _Passed:
+        regions.load(start, centred_us, pivot_us)
+        passed = self._pass(regions, [w for w in self._windows if w.t0_us >= pivot_us])
+        regions.advance(now_us - regions.now_us)
+        return passed
+
+    def _pass(self, regions: Regions, windows: list[_Window]) -> _Passed:
+        """Follow all regions through the windows."""
         passed = _Passed([], [])
+        ignored = Refusals()  # counted when they came
         for window in windows:
             regions.advance(window.t0_us - regions.now_us)
-            routed = regions.route(window.batch, abs(window_us), refusals)
-            regions.follow(routed, window_us)
-            passed.pieces.append(routed)
-            passed.trail.append((regions.now_us, regions.centres()))
+            passed.pieces.append(regions.follow(window.batch, self._window_us, ignored))
+            passed.trail.append((regions.now_us, regions.motion()))
         return passed
+
+
+def _back(window: _Window, window_us: int) -> _Window:
+    """Return a window in mirrored time."""
+    batch = window.batch
+    mirrored = EventBatch(-batch.t_us[::-1], batch.x_px[::-1].copy(), batch.y_px[::-1].copy(), batch.on[::-1].copy())
+    return _Window(-(window.t0_us + window_us), mirrored)
+
+
+def _mirrored(states: Floats) -> Floats:
+    mirrored = states.copy()
+    mirrored[[VX, VY, P_XV]] *= -1.0
+    return mirrored
+
+
+def _unmirrored(heard: tuple[Times, Flags]) -> tuple[Times, Flags]:
+    return -heard[0][::-1], heard[1][::-1]
 
 
 def _joined(pieces: list[tuple[Times, Flags]], from_us: int) -> tuple[Times, Flags]:

@@ -51,6 +51,9 @@ class DecoderConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     ] = 5_000
     # radius_px covers nine tenths of the target's pixels: half as much again reaches the rest and the slow fringe.
     region_scale: Annotated[float, Meta(ge=0.5, le=10.0, description="a region's radius in radii of its target")] = 1.5
+    self_centring: Annotated[
+        bool, Meta(description="regions are centred on their own events; else the tracker alone moves them")
+    ] = True
     # What a prediction may be off before the first re-centring: 20 px/s (5 % of 400) for 100 ms are 2 px.
     region_margin_px: Annotated[float, Meta(ge=0.0, le=100.0, description="added to a region's radius")] = 2.5
     # A beacon of 50 px radius fills a sixth of a 640x480 sensor's height; beyond it is the scene, or a damaged number.

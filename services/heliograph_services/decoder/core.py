@@ -20,7 +20,7 @@ from heliograph.core import Context
 from heliograph.errors import Refusal, Refusals
 from heliograph.link.contract import LinkFrame, Text
 from heliograph.link.modulations import modulation
-from heliograph.messages import Change, Message, Tracks
+from heliograph.messages import Change, Identification, Message, Tracks
 from heliograph.streams import Events
 from heliograph_services.decoder.config import AUTO, DecoderConfig
 from heliograph_services.decoder.following import Following
@@ -172,8 +172,9 @@ class DecoderCore:
         while (tracks := self._schedule.due(window.t0_us)) is not None:
             out += self._apply(following, tracks, window.t0_us)
         off = Refusals()
-        routed = following.regions.route(window.batch, self._config.window_us, off)
-        following.regions.follow(routed, self._config.window_us)
+        following.history.record(window.t0_us, following.regions.motion())
+        routed = following.regions.follow(window.batch, self._config.window_us, off)
+        following.history.record(following.regions.now_us, following.regions.motion())
         following.backlog.push(window.t0_us, window.batch)
         for reason, n in off.items():
             self._refuse(reason, n)
@@ -201,30 +202,44 @@ class DecoderCore:
         return out
 
     def _apply(self, following: Following, tracks: Tracks, now_us: int) -> list[Message]:
+        before = {track.name: track.state for track in following.tracks if track.state is not None}
         applied = following.apply(tracks, now_us)
         self._told_us = now_us
         out: list[Message] = []
-        for track, old_name in applied.renamed:
-            out += self._rename(track, old_name, now_us)
-        for track, at in applied.ended:
-            out += self._end(track, at, now_us)
+        # What a track has said so far, it has said under its old name.
+        for track, name in applied.renamed:
+            out += self._texts(track, name)
+        for track, _ in applied.ended:
+            out += self._texts(track)
+        out += self._renamed(before, following, {track.name: at for track, at in applied.ended}, now_us)
         first = len(following.tracks) - len(applied.begun)
         for i, (_, decided) in enumerate(applied.begun):
             self._early += self._collected(following, first + i, decided)
         self.counters["tracks_adopted"] += len(applied.renamed)
         self.counters["tracks_begun"] += len(applied.begun)
         self.counters["tracks_dropped"] += applied.dropped
+        self.counters["tracks_relocated"] = following.relocated
         return out
 
-    def _rename(self, track: Track, old_name: str, now_us: int) -> list[Message]:
-        """The tracker calls it anew: its state ends under the old name and goes on under the new one."""
-        state = track.state
-        if track.held is None or state is None:
-            return []
-        return [
-            self._publisher.again(state, old_name, now_us, "lost"),
-            self._publisher.again(state, track.name, now_us, "accepted"),
-        ]
+    def _renamed(
+        self, before: dict[str, Identification], following: Following, ended: dict[str, Place], now_us: int
+    ) -> list[Message]:
+        """Publish what names have lost, changed or gained, now that tracks have other names or have ended."""
+        out: list[Message] = []
+        now = {track.name for track in following.tracks if track.state is not None}
+        for name, state in before.items():
+            if name not in now:
+                out.append(self._publisher.again(state, name, now_us, "lost", ended.get(name)))
+        gained: list[Message] = []
+        for track in following.tracks:
+            mine = track.state
+            if mine is None or mine.track == track.name:
+                continue
+            old = before.get(track.name)
+            track.state = self._publisher.again(mine, track.name, now_us, "accepted" if old is None else "changed")
+            if old is None or (old.protocol, old.beacon) != (mine.protocol, mine.beacon):
+                gained.append(track.state)
+        return out + gained
 
     def _collected(self, following: Following, i: int, decided: list[Decided]) -> list[FrameRow]:
         """Note what track i has decided: return its frames, keep its texts until they are joined."""
@@ -341,21 +356,21 @@ class DecoderCore:
     def _end(self, track: Track, at: Place, now_us: int) -> list[Message]:
         return self._lose(track, at, now_us) if track.read else self._texts(track)
 
-    def _texts(self, track: Track) -> list[Message]:
-        """Publish the texts that have come since the last time, joined."""
+    def _texts(self, track: Track, name: str | None = None) -> list[Message]:
+        """Publish the texts that have come since the last time, joined; under another name, if one is given."""
         out: list[Message] = []
         texts, track.texts = track.texts, []
         for link in dict.fromkeys(link for link, _ in texts):
             held = track.held
-            name = self._plan.name(link, held.identity.payload if held is not None and held.link == link else None)
+            beacon = self._plan.name(link, held.identity.payload if held is not None and held.link == link else None)
             run: list[Text] = [text for its_link, text in texts if its_link == link]
-            out += self._publisher.data(track.name, self._plan.protocol(link), name, run)
+            out += self._publisher.data(name or track.name, self._plan.protocol(link), beacon, run)
         return out
 
 
 _COUNTERS: Final = (
     "events", "events_routed", "frames", "identifications", "repaintings", "streams",
-    "tracks_adopted", "tracks_begun", "tracks_dropped", "windows",
+    "tracks_adopted", "tracks_begun", "tracks_dropped", "tracks_relocated", "windows",
 )  # fmt: skip
 
 

@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
-from heliograph.errors import Refusals
+import numpy as np
+
 from heliograph.messages import Tracks
-from heliograph_services.decoder.backlog import Backlog, Heard
+from heliograph_services.decoder.backlog import Backlog
 from heliograph_services.decoder.config import DecoderConfig
-from heliograph_services.decoder.links import Decided, LinkPlan, TrackLinks
-from heliograph_services.decoder.regions import Place, Regions, mixed
+from heliograph_services.decoder.history import History
+from heliograph_services.decoder.links import CONTEST_US, Decided, LinkPlan, TrackLinks
+from heliograph_services.decoder.regions import Doubt, Place, Regions, column
 from heliograph_services.decoder.tracks import Plan, Told, Track, plan_of, told_by
+
+# A frame is published at most a contest and some frames of 220 ms (11 bits at 50 bit/s) after its end.
+HISTORY_US: Final = CONTEST_US + 1_000_000
+# What is not read yields a twentieth at least at 10 Hz: it forgets a wrong centre within 2 s.
+LEAST_WEIGHT: Final = 0.05
+# A region that has not been centred for so long follows nothing: twice the longest run of a code at 1 kbit/s.
+BLIND_US: Final = 20_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,80 +56,115 @@ class Following:
         self._serial = 0
         self.size = (width, height)
         self.tracks: list[Track] = []
-        reach_px = config.region_max_px
-        self.regions = Regions(width, height, config.max_tracks, config.step_us, reach_px)
-        self._spare = Regions(width, height, config.max_tracks, config.step_us, reach_px)
+        self.relocated = 0
+        self.regions = self._free_regions()
+        self._spare = self._free_regions()
         self.backlog = Backlog(config.window_us, config.backlog_us, config.backlog_events)
+        self.history = History(-(-HISTORY_US // config.window_us))
+
+    def _free_regions(self) -> Regions:
+        config = self._config
+        return Regions(
+            *self.size, config.max_tracks, config.step_us, config.region_max_px, self_centring=config.self_centring
+        )
 
     def restart(self, now_us: int) -> None:
         """Forget all tracks and events; time begins anew at now_us."""
         self.tracks = []
         self.backlog.clear()
-        self.regions.load([], [], now_us)
+        self.history.clear()
+        self.regions.restart(now_us)
+        self.regions.noise_per_px_us = 0.0
 
     def at(self, i: int, t_us: int) -> Place:
         """Return where track i was, or will be, at t_us."""
-        extrapolated = self.regions.place(i).after(t_us - self.regions.now_us)
-        return self.tracks[i].trail.at(t_us, extrapolated)
+        then = self.regions.place(i).after(t_us - self.regions.now_us)
+        known = self.history.at(i, t_us)
+        if known is None:
+            return then
+        return Place(*known, then.reach_px)
 
     def end(self, ended: list[Track]) -> None:
         """Let these tracks go."""
         gone = {track.serial for track in ended}
         kept = [i for i, track in enumerate(self.tracks) if track.serial not in gone]
-        places = [self.regions.place(i) for i in kept]
-        centred = [self.regions.centred_us(i) for i in kept]
         self.tracks = [self.tracks[i] for i in kept]
-        self.regions.load(places, centred, self.regions.now_us)
+        self.regions.keep(kept)
+        self.history.keep(kept)
 
     def apply(self, message: Tracks, now_us: int) -> Applied:
         """Let a Tracks message take effect at now_us, the regions' instant."""
         config = self._config
         told, left_out = told_by(message, {track.name for track in self.tracks}, config)
-        elapsed_us = now_us - message.as_of_us
-        places = self.regions.places()
-        plan = plan_of(self.tracks, places, told, elapsed_us)
-        where = {track.serial: i for i, track in enumerate(self.tracks)}
-        ended = [(track, places[where[track.serial]]) for track in plan.end]
-        renamed = self._go_on(plan, elapsed_us, now_us)
+        then = [self.at(i, message.as_of_us) for i in range(len(self.tracks))]
+        plan = plan_of(self.tracks, then, told)
+        index = {track.serial: i for i, track in enumerate(self.tracks)}
+        ended = [(track, self.regions.place(index[track.serial])) for track in plan.end]
+        renamed = self._go_on(plan, then, message.as_of_us, now_us)
         self.end(plan.end)
         room = config.max_tracks - len(self.tracks)
         new = plan.new[:room]
         begun = self._begin(new, message.as_of_us, now_us) if new else []
         return Applied(renamed, ended, begun, left_out + len(plan.new) - len(new))
 
-    def _go_on(self, plan: Plan, elapsed_us: int, now_us: int) -> list[tuple[Track, str]]:
-        """Mix what is told into the regions that go on; return the tracks with a new name."""
+    def _go_on(self, plan: Plan, then: list[Place], as_of_us: int, now_us: int) -> list[tuple[Track, str]]:
+        """Let the regions that go on heed what is told of them; return the tracks with a new name."""
         told_of: dict[int, Told] = {track.serial: row for track, row in (*plan.update, *plan.adopt)}
-        places: list[Place] = []
-        centred: list[int] = []
+        centred_us = self.regions.centred_us()
+        astray: list[tuple[int, Told]] = []
         for i, track in enumerate(self.tracks):
-            own = self.regions.place(i)
             row = told_of.get(track.serial)
             track.told = row is not None
-            if row is not None:
-                there = row.place.after(elapsed_us)
-                own = mixed(own, self.regions.centred_us(i), there, now_us, read=track.read)
-            places.append(own)
-            centred.append(self.regions.centred_us(i))
-        self.regions.load(places, centred, now_us)
-        renamed: list[tuple[Track, str]] = []
+            if row is None:
+                continue
+            self.regions.resize(i, row.place.reach_px, row.radius_px)
+            blind = now_us - int(centred_us[i]) > BLIND_US
+            reads = track.reading(now_us) and not blind
+            if then[i].away_px(row.place) <= min(then[i].reach_px, row.place.reach_px):
+                self._heed(i, row, then[i], now_us - as_of_us, reads=reads)
+            elif not reads:
+                astray.append((i, row))
+        self._relocate(astray, as_of_us, now_us)
+        renamed = [(track, track.name) for track, _ in plan.adopt]
         for track, row in plan.adopt:
-            renamed.append((track, track.name))
             track.name = row.name
         return renamed
 
+    def _heed(self, i: int, row: Told, then: Place, elapsed_us: int, *, reads: bool) -> None:
+        """Correct region i by what is told of a place near where it was then."""
+        own, told = self.regions.doubt(i), row.doubt.after(elapsed_us, self.regions.drive(i))
+        least = 0.0 if reads or not self._config.self_centring else LEAST_WEIGHT
+        w, wv = (max(least, a / max(a + b, 1e-12)) for a, b in ((own.xx, told.xx), (own.vv, told.vv)))
+        dv = (row.place.vx_px_s - then.vx_px_s, row.place.vy_px_s - then.vy_px_s)
+        d = (row.place.x_px - then.x_px, row.place.y_px - then.y_px)
+        self.regions.shift(
+            i,
+            (w * d[0], w * d[1]),
+            (wv * dv[0], wv * dv[1]),
+            Doubt((1 - w) * own.xx, (1 - max(w, wv)) * own.xv, (1 - wv) * own.vv),
+        )
+
+    def _relocate(self, astray: list[tuple[int, Told]], as_of_us: int, now_us: int) -> None:
+        """Let regions that have lost their targets catch up with them from where the tracker saw them."""
+        if not astray:
+            return
+        states = np.stack([column(row.place, row.radius_px, row.doubt) for _, row in astray], axis=1)
+        self._spare.noise_per_px_us = self.regions.noise_per_px_us
+        self.backlog.catch_up(self._spare, states, as_of_us, now_us)
+        found, centred_us = self._spare.states(), self._spare.centred_us()
+        for k, (i, _) in enumerate(astray):
+            self.regions.put(i, found[:, k], int(centred_us[k]))
+        self.relocated += len(astray)
+
     def _begin(self, new: list[Told], as_of_us: int, now_us: int) -> list[tuple[Track, list[Decided]]]:
         """Begin new tracks with what the backlog holds of them."""
-        heard: list[Heard] = self.backlog.replay(
-            self._spare, [row.place for row in new], [row.born_us for row in new], as_of_us, now_us, Refusals()
-        )
-        begun: list[Track] = []
-        for row, one in zip(new, heard, strict=True):
-            begun.append(Track(self._serial, row.name, TrackLinks(self._plan), one.trail))
-            self._serial += 1
-        n = len(self.tracks)
+        states = np.stack([column(row.place, row.radius_px, row.doubt) for row in new], axis=1)
+        self._spare.noise_per_px_us = self.regions.noise_per_px_us
+        heard = self.backlog.replay(self._spare, states, [row.born_us for row in new], as_of_us, now_us)
+        begun = [Track(self._serial + k, row.name, TrackLinks(self._plan)) for k, row in enumerate(new)]
+        self._serial += len(new)
         self.tracks += begun
-        places = [self.regions.place(i) for i in range(n)] + [one.now for one in heard]
-        centred = [self.regions.centred_us(i) for i in range(n)] + [one.centred_us for one in heard]
-        self.regions.load(places, centred, now_us)
+        self.regions.append(self._spare.states(), self._spare.centred_us())
+        for one in heard:
+            self.history.append(one.trail_us, one.trail)
         return [(track, track.links.feed(one.t_us, one.on, now_us)) for track, one in zip(begun, heard, strict=True)]

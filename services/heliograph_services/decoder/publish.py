@@ -121,9 +121,21 @@ class Publisher:
             lost=change == "lost",
         )
 
-    def again(self, state: Identification, track: str, t_us: int, change: Change) -> Identification:
-        """Return a published state under another name or change."""
-        return msgspec.structs.replace(state, track=track, t_us=t_us, change=change, lost=change == "lost")
+    def again(
+        self, state: Identification, track: str, t_us: int, change: Change, at: Place | None = None
+    ) -> Identification:
+        """Return a published state under another name or change, and elsewhere, if that is given."""
+        again = msgspec.structs.replace(state, track=track, t_us=t_us, change=change, lost=change == "lost")
+        if at is None:
+            return again
+        return msgspec.structs.replace(
+            again,
+            x_px=px(at.x_px),
+            y_px=px(at.y_px),
+            vx_px_s=px(at.vx_px_s),
+            vy_px_s=px(at.vy_px_s),
+            bearing=self._bearing_of(at),
+        )
 
     def _bearing_of(self, at: Place) -> Bearing | None:
         if self._bearing is None:

@@ -1,11 +1,12 @@
 """Regions: the pixels that each track listens to, moved by prediction and by the regions' own events.
 
-State of track i at `now_us`: centre c (px), velocity v (px/s), reach r = scale * radius + margin (px). Between windows
-c += v T. What the tracker says of an instant A in the past is extrapolated to now and mixed in with the weight ::
+A region is a Kalman filter of its target's place (heliograph_services.decoder.routing). What the tracker says of an
+instant A in the past is compared with where the region was at A; the difference d corrects the region now with the
+weight ::
 
-    w = max(w0, a / (a + tau)),   a = time since the region was last centred on its own events
+    w = P_xx / (P_xx + R),   R = variance of what is told, carried from A to now
 
-so that a region that follows its events well hardly heeds a late tracker, and one that has seen nothing obeys it.
+so a region that follows its events well hardly heeds a late tracker, and one that has seen nothing obeys it.
 """
 
 from __future__ import annotations
@@ -18,12 +19,29 @@ import numpy as np
 from heliograph.errors import Refusal, Refusals
 from heliograph.events import EventBatch, Flags, Times
 from heliograph_services.decoder import routing
-from heliograph_services.decoder.routing import NEVER, PLACE_LIMIT_PX, SPEED_LIMIT_PX_S, US_PER_S
+from heliograph_services.decoder.routing import (
+    NEVER,
+    P_VV,
+    P_VV_LIMIT,
+    P_XV,
+    P_XX,
+    P_XX_LIMIT,
+    PLACE_LIMIT_PX,
+    RADIUS,
+    REACH,
+    ROWS,
+    SPEED_LIMIT_PX_S,
+    US_PER_S,
+    VX,
+    VY,
+    Floats,
+    Q,
+    X,
+    Y,
+)
 
-# Even a well centred region yields a twentieth to the tracker at 10 Hz: it forgets a wrong centre within 2 s.
-LEAST_WEIGHT: Final = 0.05
-# Half the say after 50 ms without own events: a code of 50 bit/s is silent for up to 200 ms.
-TRUST_US: Final = 50_000.0
+# Of the filter, before the residuals have their say: 0.3 px of doubt a tenth of a second after the last edge.
+Q_START: Final = 1e3
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,15 +87,43 @@ def _within(value: float, limit: float) -> float:
 
 
 @dataclass(frozen=True, slots=True)
+class Doubt:
+    """How sure a place is, on each axis: P_xx (px2), P_xv (px2/s), P_vv (px2/s2); a covariance."""
+
+    xx: float
+    xv: float
+    vv: float
+
+    def after(self, us: int, drive: float) -> Doubt:
+        """Return what is left of it so many microseconds later, with an acceleration of intensity q = drive."""
+        s = us / US_PER_S
+        q = drive * abs(s)
+        xx = self.xx + s * (2.0 * self.xv + s * self.vv) + q * s * s / 3.0
+        return doubt(xx, self.xv + s * self.vv + q * s / 2.0, self.vv + q)
+
+
+def doubt(xx: float, xv: float, vv: float) -> Doubt:
+    """Return a doubt with every number brought into what a covariance can be."""
+    xx = _within(max(xx, 0.0), P_XX_LIMIT)
+    vv = _within(max(vv, 0.0), P_VV_LIMIT)
+    return Doubt(xx, _within(xv, float(np.sqrt(xx * vv))), vv)
+
+
+def column(at: Place, radius_px: float, sure: Doubt) -> Floats:
+    """Return the state (ROWS,) of a region that begins there."""
+    state = np.zeros(ROWS, np.float64)
+    state[[X, Y, VX, VY, REACH]] = (at.x_px, at.y_px, at.vx_px_s, at.vy_px_s, at.reach_px)
+    state[[RADIUS, P_XX, P_XV, P_VV, Q]] = (radius_px, sure.xx, sure.xv, sure.vv, Q_START)
+    return state
+
+
+@dataclass(frozen=True, slots=True)
 class Routed:
-    """The events of a window by track: those of track i are [starts[i], starts[i + 1]); residuals likewise."""
+    """The events of a window by track: those of track i are [starts[i], starts[i + 1]); `outside` fell into none."""
 
     starts: routing.Ints
     t_us: Times
     on: Flags
-    residual_starts: routing.Ints
-    dx_px: routing.Residuals
-    dy_px: routing.Residuals
     outside: int
 
     def of(self, i: int) -> tuple[Times, Flags]:
@@ -93,60 +139,127 @@ class Regions:
         width: of the sensor, px.
         height: of the sensor, px.
         capacity: the most regions there may be.
-        step_us: regions move once a step within a window.
+        step_us: regions are moved and centred once a step.
         max_reach_px: the largest reach of a region.
+        self_centring: whether they are centred on their events; one pixel never is.
     """
 
-    def __init__(self, width: int, height: int, capacity: int, step_us: int, max_reach_px: float) -> None:
+    def __init__(
+        self, width: int, height: int, capacity: int, step_us: int, max_reach_px: float, *, self_centring: bool = True
+    ) -> None:
         self.n = 0
         self.now_us = 0
         self.repaintings = 0
         self._pixels = width * height
         self._step_us = step_us
+        self._self_centring = self_centring and self._pixels > 1
         self._labels = np.zeros((height, width), np.uint16)
         self._seen = np.zeros((height, width), np.uint8)
         self._painted = np.zeros((3, capacity), np.float64)
         self._n_painted = 0
-        self._state = np.zeros((5, capacity), np.float64)
+        self._state = np.zeros((ROWS, capacity), np.float64)
         self._centred_us = np.full(capacity, NEVER, np.int64)
-        self._counts = np.zeros(int(2 * routing.BINS_PER_PX * (max_reach_px + 2)) + 2, np.int64)
+        self._heard = np.zeros((routing.HEARD_ROWS, capacity), np.int64)
+        bins = 2 * int(routing.BINS_PER_PX * (max_reach_px + routing.GROW_LIMIT_PX + 2)) + 2
+        self._counts = np.zeros((capacity, 2, bins), np.int32)
+        self.noise_per_px_us = 0.0  # of the last window, outside all regions
 
-    def load(self, places: list[Place], centred_us: list[int], now_us: int) -> None:
-        """Replace all regions by these, as of now_us."""
+    # ---- which regions there are ---------------------------------------------------------------------------------
+
+    def restart(self, now_us: int) -> None:
+        """Forget all regions; time begins anew."""
+        self.keep([])
+        self.now_us = now_us
+
+    def load(self, states: Floats, centred_us: routing.Ints, now_us: int) -> None:
+        """Replace all regions by these: states (ROWS, k) as of now_us."""
+        self.restart(now_us)
+        self.append(states, centred_us)
+
+    def keep(self, kept: list[int]) -> None:
+        """Keep these regions alone, in this order."""
+        if kept == list(range(self.n)):
+            return
+        self._repaint()
+        m = len(kept)
+        for rows in (self._state, self._heard):
+            rows[:, :m] = rows[:, kept]
+        self._centred_us[:m] = self._centred_us[kept]
+        self._counts[:m] = self._counts[kept]
+        self._forget(m, self.n)
+        self.n = m
+
+    def append(self, states: Floats, centred_us: routing.Ints) -> None:
+        """Add regions: states (ROWS, k) as of now_us, and when each was last centred."""
+        self._repaint()
+        k = states.shape[1]
+        self._state[:, self.n : self.n + k] = states
+        self._centred_us[self.n : self.n + k] = centred_us
+        self._forget(self.n, self.n + k)
+        self.n += k
+
+    def put(self, i: int, state: Floats, centred_us: int) -> None:
+        """Give region i another state (ROWS,) as of now_us; what it has heard counts no more."""
+        self._state[:, i] = state
+        self._centred_us[i] = centred_us
+        self._forget(i, i + 1)
+
+    def shift(self, i: int, d_px: tuple[float, float], dv_px_s: tuple[float, float], sure: Doubt) -> None:
+        """Move region i by so much, and say how sure it is then."""
+        self._state[[X, Y], i] += d_px
+        self._state[[VX, VY], i] += dv_px_s
+        self._state[[P_XX, P_XV, P_VV], i] = (sure.xx, sure.xv, sure.vv)
+
+    def resize(self, i: int, reach_px: float, radius_px: float) -> None:
+        """Let region i reach so far, for a target of that radius."""
+        if (self._state[REACH, i], self._state[RADIUS, i]) != (reach_px, radius_px):
+            # Its histogram has another width from here on.
+            self._forget(i, i + 1)
+            self._state[[REACH, RADIUS], i] = (reach_px, radius_px)
+
+    def _forget(self, first: int, behind: int) -> None:
+        self._heard[:, first:behind] = 0
+        self._counts[first:behind] = 0
+
+    def _repaint(self) -> None:
         if self._n_painted >= 0:
             # -(n + 1) says: repaint, and n old ones are to be cleared.
             self._n_painted = -(self._n_painted + 1)
-        self.n = len(places)
-        self.now_us = now_us
-        for i, at in enumerate(places):
-            self._state[:, i] = (at.x_px, at.y_px, at.vx_px_s, at.vy_px_s, at.reach_px)
-            self._centred_us[i] = centred_us[i]
+
+    # ---- where they are ------------------------------------------------------------------------------------------
 
     def place(self, i: int) -> Place:
         """Return where region i is at now_us."""
-        return Place(*(float(value) for value in self._state[:, i]))
+        return Place(*(float(value) for value in self._state[[X, Y, VX, VY, REACH], i]))
 
-    def places(self) -> list[Place]:
-        """Return all places at now_us."""
-        return [self.place(i) for i in range(self.n)]
+    def doubt(self, i: int) -> Doubt:
+        """Return how sure that is."""
+        return Doubt(*(float(value) for value in self._state[[P_XX, P_XV, P_VV], i]))
 
-    def centres(self) -> routing.Floats:
-        """Return a copy of all centres at now_us, (2, n) px."""
-        return self._state[:2, : self.n].copy()
+    def motion(self) -> Floats:
+        """Return a copy of x, y, vx, vy of all regions at now_us, (4, n)."""
+        return self._state[[X, Y, VX, VY], : self.n]
 
-    def centred_us(self, i: int) -> int:
-        """Return when region i was last centred on its own events."""
-        return int(self._centred_us[i])
+    def drive(self, i: int) -> float:
+        """Return q, the intensity of the acceleration that region i is allowed."""
+        return float(self._state[Q, i])
+
+    def states(self) -> Floats:
+        """Return a copy of all states, (ROWS, n)."""
+        return self._state[:, : self.n].copy()
+
+    def centred_us(self) -> routing.Ints:
+        """Return a copy of when each region was last centred on its own events."""
+        return self._centred_us[: self.n].copy()
 
     def advance(self, us: int) -> None:
-        """Move all regions by their velocities; us may be negative."""
-        n = self.n
-        self._state[:2, :n] += self._state[2:4, :n] * (us / US_PER_S)
-        np.clip(self._state[:2, :n], -PLACE_LIMIT_PX, PLACE_LIMIT_PX, out=self._state[:2, :n])
+        """Carry all regions by so much time, without events."""
+        if us > 0:
+            routing.carry(self._state, self.n, float(us))
         self.now_us += us
 
-    def route(self, batch: EventBatch, window_us: int, refusals: Refusals) -> Routed:
-        """Return the events of the window [now_us, now_us + window_us) by track; nothing moves.
+    def follow(self, batch: EventBatch, window_us: int, refusals: Refusals) -> Routed:
+        """Move and centre the regions through [now_us, now_us + window_us); return its events by track.
 
         Args:
             batch: the window's events; one that lies on its end belongs to the last step.
@@ -156,54 +269,18 @@ class Regions:
         m = len(batch)
         steps = max(1, -(-window_us // self._step_us))
         hit, label = np.empty(m, np.int64), np.empty(m, np.uint16)
-        dx, dy = np.empty(m, np.float32), np.empty(m, np.float32)
-        hits, paintings, off = routing.gather(
-            batch.t_us, batch.x_px, batch.y_px, self.now_us, self._step_us, steps,
-            self._labels, self._painted, self._n_painted, self._state, self.n, hit, label, dx, dy,
-            self._seen,
+        hits, paintings, off = routing.follow(
+            batch.t_us, batch.x_px, batch.y_px, self.now_us, min(self._step_us, window_us), steps, self._self_centring,
+            self._labels, self._painted, self._n_painted, self._state, self._centred_us, self._heard, self._counts,
+            self.n, self.noise_per_px_us, hit, label, self._seen,
         )  # fmt: skip
+        self.now_us += window_us
         if paintings:
             self._n_painted = self.n
             self.repaintings += paintings
         if off:
             refusals[Refusal.OFF_SENSOR] += off
-        starts, t_us, on = routing.sort_by_track(batch.t_us, batch.on, self.n, hits, hit, label)
-        residual_starts, dx, dy = routing.residuals_by_track(self.n, hits, label, dx, dy)
-        return Routed(starts, t_us, on, residual_starts, dx, dy, m - hits - off)
-
-    def follow(self, routed: Routed, window_us: int) -> None:
-        """Move on by a window and centre each region on the events that it heard in it; back where negative."""
-        if window_us > 0:
-            self.advance(window_us)
-        if self._pixels == 1:
-            return
-        covered = float(np.sum(np.square(self._state[4, : self.n]))) * np.pi
-        noise_per_px = routed.outside / max(self._pixels - covered, 0.1 * self._pixels)
-        routing.recentre(
-            routed.residual_starts, routed.dx_px, routed.dy_px, self._state, self._centred_us, self.n,
-            noise_per_px, self.now_us, window_us, self._counts,
-        )  # fmt: skip
-        np.clip(self._state[2:4, : self.n], -SPEED_LIMIT_PX_S, SPEED_LIMIT_PX_S, out=self._state[2:4, : self.n])
-
-
-def mixed(own: Place, centred_us: int, told: Place, now_us: int, *, read: bool) -> Place:
-    """Return own and told place of one target at now_us, weighed by the module's rule.
-
-    Args:
-        own: where the region has got to.
-        centred_us: when it was last centred on its own events.
-        told: what the tracker says, extrapolated to now.
-        now_us: the instant of both.
-        read: the track is being read at its own place; then it does not jump to another.
-    """
-    age = float(now_us - centred_us)
-    weight = max(LEAST_WEIGHT, age / (age + TRUST_US))
-    if not read and own.away_px(told) > own.reach_px + told.reach_px:
-        weight = 1.0
-    return Place(
-        own.x_px + weight * (told.x_px - own.x_px),
-        own.y_px + weight * (told.y_px - own.y_px),
-        own.vx_px_s + weight * (told.vx_px_s - own.vx_px_s),
-        own.vy_px_s + weight * (told.vy_px_s - own.vy_px_s),
-        told.reach_px,
-    )
+        outside = m - hits - off
+        covered = float(np.sum(np.square(self._state[REACH, : self.n]))) * np.pi
+        self.noise_per_px_us = outside / (max(self._pixels - covered, 0.1 * self._pixels) * window_us)
+        return Routed(*routing.sort_by_track(batch.t_us, batch.on, self.n, hits, hit, label), outside)

@@ -2,22 +2,33 @@
 
 Lookup image, one uint16 a pixel (0 = nobody, i + 1 = track i)::
 
-    label(p) = 1 + argmin_i |p - c_i|  over the tracks with |p - c_i| <= r_i      (equal distances: the lowest i)
+    label(p) = 1 + argmin_i |p - c_i| / r_i    over the tracks with |p - c_i| <= s_i      (equal: the lowest i)
 
-It is repainted at the first step with events in which a centre has moved by a pixel since it was painted; painting
-costs the pixels of the regions, old and new, never those of the sensor. A window of events is routed in two passes:
-look up and gather the few that fall into a region, then a counting sort into one run a track, which keeps their order.
+r is the region's own radius, s >= r what it listens to for now (below). It is repainted at the first step with events
+in which a region has moved or grown by a pixel since; painting costs the pixels of the regions, old and new, never
+those of the sensor.
 
-Self-centring, once a window: with d the residuals (event minus centre at its step) of the track's n events, e the
-number that the surrounding noise explains, and h the time since the last correction, a fading-memory filter (critically
-damped: its time constant 1 / omega does not depend on how often an LED blinks) ::
+Self-centring, once a step (1 ms): each axis of a region is a Kalman filter of position and velocity, one covariance P
+for both axes, driven by white acceleration of intensity q::
 
-    theta = exp(-omega min(h, h_max)),  g = (n - e) / (n + n0)
-    c += (1 - theta^2) g mean(d),  v += (1 - theta)^2 g mean(d) / h
+    c += v T,   P <- F P F' + q [T^3/3, T^2/2; T^2/2, T]            F = [1, T; 0, 1]
 
-runs where n >= n_min and n >= 2 e + 3 sqrt(e). A pixel counts at most `PIXEL_LIMIT` times a window, so that a hot one
-cannot pull; the mean is trimmed by a fifth at both ends of each axis, so that a neighbour's edge cannot, while the two
-crescents of a moving lit disc still balance (a median would jump from one to the other). Backwards h is negative.
+What a region has heard since it was centred last is a measurement as soon as it holds n >= n_min events on enough
+distinct pixels and stands out from the surrounding noise, n >= 2 e + 3 sqrt(e); else it is forgotten after `HOLD_US`::
+
+    z = trimmed mean of (event - c(t)) / (1 - e / n),   R = 2 (rho^2 / 4 + 1/12) / n + R_0
+    S = P_xx + R,   |z| at most 5 sqrt(S),   c += P_xx z / S,   v += P_xv z / S
+    u = (z_x^2 + z_y^2) / 2 S,   q <- q exp(eta (min(u, u_max) - 1))
+
+rho is the target's radius. The last line keeps the filter as nimble as its target: residuals larger than their
+expected size are an acceleration that was not allowed for. An LED that rests or goes straight is averaged over many
+edges; one that turns at 20,000 px/s2 is followed edge by edge. The mean is trimmed by a fifth at both ends of each
+axis, so that a neighbour's edge cannot pull, while the two crescents of a moving lit disc still balance (a median
+would jump from one to the other). A pixel counts at most `PIXEL_LIMIT` times a step, and one alone is no measurement:
+a hot one cannot pull.
+
+A region that is not centred grows as its uncertainty does, s = r + max(0, 3 sqrt(P_xx) - GROW_FROM_PX), up to
+`GROW_LIMIT_PX`: so it hears its target again behind an occlusion.
 """
 
 from __future__ import annotations
@@ -33,21 +44,63 @@ import numpy.typing as npt
 from heliograph.events import Flags, Pixels, Times
 
 Floats = npt.NDArray[np.float64]
-Residuals = npt.NDArray[np.float32]
 Labels = npt.NDArray[np.uint16]
+Counts = npt.NDArray[np.int32]
 Ints = npt.NDArray[np.int64]
 
-# 30 rad/s: lags a / omega^2 = 1.1 px at 1000 px/s2, and turns 0.3 px of centroid noise into 2 px/s of velocity noise.
-# A faster filter follows noise, a slower one loses its target in a curve.
-OMEGA_PER_S: Final = 30.0
-# A single window after a long silence counts at most .78: it may be a passing edge.
-GAP_LIMIT_S: Final = 0.025
+# Rows of a state: a column a track.
+X: Final = 0
+Y: Final = 1
+VX: Final = 2
+VY: Final = 3
+REACH: Final = 4  # r, px
+RADIUS: Final = 5  # rho, px
+P_XX: Final = 6
+P_XV: Final = 7
+P_VV: Final = 8
+Q: Final = 9
+SHARED: Final = 10  # 1 where another region that follows its target overlaps with it
+ROWS: Final = 11
+# Rows of what the regions have heard since they were centred last: a column a track.
+EVENTS: Final = 0
+PIXELS: Final = 1  # sum over the steps of distinct pixels less one
+AGE_US: Final = 2
+FIRST: Final = 3  # a pixel was heard in this step
+HEARD_ROWS: Final = 4
+
 # Fewer events say nothing: three pixels that fire twice. The edge of a 3 px disc makes about 30.
 MIN_EVENTS: Final = 6
+# Sum over steps of (distinct pixels - 1): a hot pixel alone never gets there.
+MIN_PIXELS: Final = 2
 PIXEL_LIMIT: Final = 2
 TRIM: Final = 0.2
+# A faint target's edge trickles in over some milliseconds; what is older is no edge.
+HOLD_US: Final = 5_000
 # A quarter of a pixel: below the centroid's own noise.
 BINS_PER_PX: Final = 4
+# A sixth of a pixel, squared: what pixels, late OFF events and half-lit crescents leave of a mean over many events.
+R_0: Final = 0.05
+# The filter's bandwidth is about (q / (R T))^(1/4): with R T = .03 px2 x 2 ms from 11 to 640 rad/s. Below, a filter
+# forgets more slowly than its tracker's 10 Hz; above, it is the last edge alone.
+Q_MIN: Final = 1.0
+Q_MAX: Final = 1e7
+# After ten edges of the expected size nothing is left of a turn; the first edge of one raises q fivefold at most.
+ETA: Final = 0.2
+U_MAX: Final = 9.0
+SIGMAS_LIMIT: Final = 5.0
+# Where two regions overlap, an event may be either's: both go on nearly straight until they have parted. At 200 px/s
+# that takes 60 ms; 1000 px/s2 bend a way by 2 px in that time.
+Q_SHARED: Final = 1e3
+SHARED_VARIANCE: Final = 10.0
+# A region that has not been centred for so long follows nothing that could be confused.
+ALIVE_US: Final = 30_000
+# The margin of a region holds so much already.
+GROW_FROM_PX: Final = 2.0
+# Half a second of a walking pace's changes of mind; more would hear its neighbours.
+GROW_LIMIT_PX: Final = 8.0
+# Uncertainty beyond a sensor's width, or beyond any speed, says no more.
+P_XX_LIMIT: Final = 1e6
+P_VV_LIMIT: Final = 1e9
 # Repaint as soon as a centre has moved so far; the regions' margin is more than that.
 REPAINT_PX: Final = 1.0
 # Beyond it a coordinate is a damaged number; four sensors of the widest kind keep the arithmetic exact.
@@ -57,7 +110,6 @@ SPEED_LIMIT_PX_S: Final = 40_000.0
 US_PER_S: Final = 1e6
 # Of a time: not yet.
 NEVER: Final = -(2**62)
-PAUSE_LIMIT_US: Final = 1_000_000
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -76,7 +128,15 @@ def span(centre: float, reach: float, side: int) -> tuple[int, int]:
 
 
 @kernel
-def paint(labels: Labels, old: Floats, n_old: int, x_px: Floats, y_px: Floats, reach_px: Floats, n: int) -> None:
+def shown_px(state: Floats, i: int) -> float:
+    """Return how far region i listens for now."""
+    grown = 3.0 * math.sqrt(state[P_XX, i]) - GROW_FROM_PX
+    reach: float = state[REACH, i] + min(max(grown, 0.0), GROW_LIMIT_PX)
+    return reach
+
+
+@kernel
+def paint(labels: Labels, old: Floats, n_old: int, state: Floats, n: int) -> None:
     """Clear the n_old regions that `old` (3, capacity: x, y, reach) names, paint the n new ones, note them in `old`."""
     height, width = labels.shape
     for i in range(n_old):
@@ -84,114 +144,304 @@ def paint(labels: Labels, old: Floats, n_old: int, x_px: Floats, y_px: Floats, r
         y0, y1 = span(old[1, i], old[2, i], height)
         labels[y0:y1, x0:x1] = 0
     for i in range(n):
-        x0, x1 = span(x_px[i], reach_px[i], width)
-        y0, y1 = span(y_px[i], reach_px[i], height)
-        limit = reach_px[i] * reach_px[i]
+        reach = shown_px(state, i)
+        x0, x1 = span(state[X, i], reach, width)
+        y0, y1 = span(state[Y, i], reach, height)
+        limit, own = reach * reach, state[REACH, i] * state[REACH, i]
         for y in range(y0, y1):
-            dy = y - y_px[i]
+            dy = y - state[Y, i]
             for x in range(x0, x1):
-                dx = x - x_px[i]
+                dx = x - state[X, i]
                 near = dx * dx + dy * dy
                 if near > limit:
                     continue
                 other = labels[y, x]
                 if other != 0:
-                    ox = x - x_px[other - 1]
-                    oy = y - y_px[other - 1]
-                    if ox * ox + oy * oy <= near:
+                    k = other - 1
+                    ox = x - state[X, k]
+                    oy = y - state[Y, k]
+                    if (ox * ox + oy * oy) / (state[REACH, k] * state[REACH, k]) <= near / (
+                        state[REACH, i] * state[REACH, i]
+                    ):
                         continue
                 labels[y, x] = i + 1
-        old[0, i] = x_px[i]
-        old[1, i] = y_px[i]
-        old[2, i] = reach_px[i]
+        old[0, i] = state[X, i]
+        old[1, i] = state[Y, i]
+        old[2, i] = reach
 
 
 @kernel
-def moved(old: Floats, n_old: int, x_px: Floats, y_px: Floats, n: int) -> bool:
-    """Return whether a centre is a pixel or more from where it was painted."""
+def moved(old: Floats, n_old: int, state: Floats, n: int) -> bool:
+    """Return whether a region has moved or grown by a pixel since it was painted."""
     if n != n_old:
         return True
-    furthest = 0.0
     for i in range(n):
-        furthest = max(furthest, abs(x_px[i] - old[0, i]), abs(y_px[i] - old[1, i]))
-    return furthest >= REPAINT_PX
+        if max(abs(state[X, i] - old[0, i]), abs(state[Y, i] - old[1, i])) >= REPAINT_PX:
+            return True
+        if abs(shown_px(state, i) - old[2, i]) >= REPAINT_PX:
+            return True
+    return False
 
 
 @kernel
-def gather(
+def carry(state: Floats, n: int, us: float) -> None:
+    """Predict all regions by so many microseconds."""
+    s = us / US_PER_S
+    for i in range(n):
+        state[X, i] = min(max(state[X, i] + state[VX, i] * s, -PLACE_LIMIT_PX), PLACE_LIMIT_PX)
+        state[Y, i] = min(max(state[Y, i] + state[VY, i] * s, -PLACE_LIMIT_PX), PLACE_LIMIT_PX)
+        q = min(state[Q, i], Q_SHARED) if state[SHARED, i] else state[Q, i]
+        xx = state[P_XX, i] + s * (2.0 * state[P_XV, i] + s * state[P_VV, i]) + q * s * s * s / 3.0
+        xv = state[P_XV, i] + s * state[P_VV, i] + q * s * s / 2.0
+        state[P_XX, i] = min(max(xx, 0.0), P_XX_LIMIT)
+        state[P_VV, i] = min(max(state[P_VV, i] + q * s, 0.0), P_VV_LIMIT)
+        # What limits and rounding leave must be a covariance.
+        most = math.sqrt(state[P_XX, i] * state[P_VV, i])
+        state[P_XV, i] = min(max(xv, -most), most)
+
+
+@kernel
+def share(state: Floats, centred_us: Ints, n: int, now_us: int) -> None:
+    """Note which regions overlap with another one that has been centred of late."""
+    for i in range(n):
+        state[SHARED, i] = 0.0
+    for i in range(n):
+        for k in range(i):
+            both = state[REACH, i] + state[REACH, k]
+            dx, dy = abs(state[X, i] - state[X, k]), abs(state[Y, i] - state[Y, k])
+            if dx < both and dy < both and dx * dx + dy * dy < both * both:
+                if now_us - centred_us[k] <= ALIVE_US:
+                    state[SHARED, i] = 1.0
+                if now_us - centred_us[i] <= ALIVE_US:
+                    state[SHARED, k] = 1.0
+
+
+@kernel
+def trimmed_mean(counts: Counts, n: int, half: int) -> float:
+    """Return the mean of what is left after a fifth is cut from both ends, to a quarter of a bin's width.
+
+    Args:
+        counts: (2 half or more,) residuals by quarter pixel, 0 px between the bins half - 1 and half.
+        n: their sum, above 0.
+        half: bins on each side.
+    """
+    cut = TRIM * n
+    low, high = cut, n - cut
+    below, total = 0.0, 0.0
+    for at in range(2 * half):
+        above = below + counts[at]
+        inside = min(above, high) - max(below, low)
+        if inside > 0.0:
+            total += inside * (at - half + 0.5)
+        below = above
+    return total / (high - low) / BINS_PER_PX
+
+
+@kernel
+def half_bins(reach: float, bins: int) -> int:
+    """Return how many bins each side of a region's histogram has."""
+    return min(int((reach + GROW_LIMIT_PX + 2.0) * BINS_PER_PX), bins // 2)
+
+
+@kernel
+def correct(state: Floats, i: int, zx: float, zy: float, variance: float) -> None:
+    """Let a measurement correct region i: residuals in px, their variance in px2."""
+    if state[SHARED, i]:
+        variance *= SHARED_VARIANCE
+    size = state[P_XX, i] + variance
+    limit = SIGMAS_LIMIT * math.sqrt(size)
+    away = math.sqrt(zx * zx + zy * zy)
+    surprise = away * away / (2.0 * size)
+    if away > limit:
+        zx *= limit / away
+        zy *= limit / away
+    gx, gv = state[P_XX, i] / size, state[P_XV, i] / size
+    state[X, i] += gx * zx
+    state[Y, i] += gx * zy
+    state[VX, i] = min(max(state[VX, i] + gv * zx, -SPEED_LIMIT_PX_S), SPEED_LIMIT_PX_S)
+    state[VY, i] = min(max(state[VY, i] + gv * zy, -SPEED_LIMIT_PX_S), SPEED_LIMIT_PX_S)
+    state[P_VV, i] -= gv * state[P_XV, i]
+    state[P_XV, i] *= 1.0 - gx
+    state[P_XX, i] *= 1.0 - gx
+    if not state[SHARED, i]:
+        state[Q, i] = min(max(state[Q, i] * math.exp(ETA * (min(surprise, U_MAX) - 1.0)), Q_MIN), Q_MAX)
+
+
+@kernel
+def centre(state: Floats, i: int, heard: Ints, counts: Counts, noise: float) -> bool:
+    """Correct region i if what it has heard is a measurement; return whether it was.
+
+    Args:
+        state: as of the step's end.
+        i: which region.
+        heard: (HEARD_ROWS, capacity).
+        counts: (2, bins): its residuals by quarter pixel.
+        noise: events of the surrounding noise to be expected among them.
+    """
+    n = heard[EVENTS, i]
+    if n < MIN_EVENTS or heard[PIXELS, i] < MIN_PIXELS or n < 2.0 * noise + 3.0 * math.sqrt(noise):
+        return False
+    half = half_bins(state[REACH, i], counts.shape[1])
+    signal = 1.0 - noise / n
+    zx = trimmed_mean(counts[0], n, half) / signal
+    zy = trimmed_mean(counts[1], n, half) / signal
+    spread = state[RADIUS, i] * state[RADIUS, i] / 4.0 + 1.0 / 12.0
+    correct(state, i, zx, zy, 2.0 * spread / n / (signal * signal) + R_0)
+    return True
+
+
+@kernel
+def look_up(
+    t_us: Times,
+    x_px: Pixels,
+    y_px: Pixels,
+    offset: int,
+    begin_us: int,
+    step_us: int,
+    labels: Labels,
+    state: Floats,
+    heard: Ints,
+    counts: Counts,
+    hits: int,
+    hit: Ints,
+    hit_label: Labels,
+    seen: npt.NDArray[np.uint8],
+) -> tuple[int, int]:
+    """Look up the events of a step and note their residuals; return (hits so far, events off the sensor).
+
+    Args: as of `follow`; `state` is as of the step's middle, `offset` the number of its first event.
+    """
+    height, width = labels.shape
+    half_s = 0.5 * step_us / US_PER_S
+    first_hit, off = hits, 0
+    for j in range(len(t_us)):
+        x, y = x_px[j], y_px[j]
+        if x >= width or y >= height:
+            off += 1
+            continue
+        label = labels[y, x]
+        if label == 0:
+            continue
+        hit[hits] = offset + j
+        hit_label[hits] = label
+        hits += 1
+        times = seen[y, x]
+        if times >= PIXEL_LIMIT:
+            continue
+        seen[y, x] = times + 1
+        i = label - 1
+        s = min((t_us[j] - begin_us) / US_PER_S - half_s, half_s)
+        half = half_bins(state[REACH, i], counts.shape[2])
+        dx = math.floor((x - state[X, i] - state[VX, i] * s) * BINS_PER_PX) + half
+        dy = math.floor((y - state[Y, i] - state[VY, i] * s) * BINS_PER_PX) + half
+        counts[i, 0, min(max(dx, 0), 2 * half - 1)] += 1
+        counts[i, 1, min(max(dy, 0), 2 * half - 1)] += 1
+        heard[EVENTS, i] += 1
+        if times == 0:
+            # The first pixel of a step says nothing: see MIN_PIXELS.
+            heard[PIXELS, i] += heard[FIRST, i]
+            heard[FIRST, i] = 1
+    for j in range(first_hit, hits):
+        seen[y_px[hit[j] - offset], x_px[hit[j] - offset]] = 0
+    return hits, off
+
+
+@kernel
+def settle(
+    state: Floats,
+    centred_us: Ints,
+    heard: Ints,
+    counts: Counts,
+    n: int,
+    now_us: int,
+    step_us: int,
+    noise_per_px_us: float,
+    self_centring: bool,
+) -> None:
+    """Centre the regions that have heard enough, and forget what has led to nothing; arguments as of `follow`."""
+    for i in range(n):
+        if heard[EVENTS, i] == 0:
+            continue
+        heard[FIRST, i] = 0
+        heard[AGE_US, i] += step_us
+        reach = shown_px(state, i)
+        noise = noise_per_px_us * heard[AGE_US, i] * math.pi * reach * reach
+        done = self_centring and centre(state, i, heard, counts[i], noise)
+        if done:
+            centred_us[i] = now_us
+        if done or heard[AGE_US, i] >= HOLD_US:
+            counts[i, :, : 2 * half_bins(state[REACH, i], counts.shape[2])] = 0
+            heard[:, i] = 0
+
+
+@kernel
+def follow(
     t_us: Times,
     x_px: Pixels,
     y_px: Pixels,
     t0_us: int,
     step_us: int,
     steps: int,
+    self_centring: bool,
     labels: Labels,
     painted: Floats,
     n_painted: int,
     state: Floats,
+    centred_us: Ints,
+    heard: Ints,
+    counts: Counts,
     n: int,
+    noise_per_px_us: float,
     hit: Ints,
     hit_label: Labels,
-    hit_dx: Residuals,
-    hit_dy: Residuals,
     seen: npt.NDArray[np.uint8],
 ) -> tuple[int, int, int]:
-    """Look up every event of the window; return (hits, repaintings, events off the sensor).
+    """Look up every event of a window, move and centre the regions; return (hits, repaintings, events off the sensor).
 
     Args:
         t_us: (m,) times, not falling; what lies behind the last step counts as of the last step.
         x_px: (m,).
         y_px: (m,).
-        t0_us: beginning of the window; `state` is as of it.
+        t0_us: beginning of the window; `state` is as of it, and as of the window's end afterwards.
         step_us: length of a step.
         steps: how many steps the window has.
+        self_centring: regions are centred on their events; else they are carried alone.
         labels: (height, width), the lookup image.
         painted: (3, capacity), what it was painted from.
         n_painted: how many regions; -(k + 1) says that there were k, and that they are to be repainted.
-        state: (5, capacity): x, y, vx, vy in px and px/s, reach in px.
+        state: (ROWS, capacity).
+        centred_us: (capacity,) when each was centred last; noted in place.
+        heard: (HEARD_ROWS, capacity); kept between windows.
+        counts: (capacity, 2, bins), see `centre`; kept between windows.
         n: how many tracks.
+        noise_per_px_us: events a pixel and microsecond outside all regions.
         hit: (m,) scratch: indices of the events that fell into a region.
         hit_label: (m,) scratch: their label.
-        hit_dx: (m,) scratch: their distance from the track's centre at their step; NaN beyond the pixel's limit.
-        hit_dy: (m,) scratch.
         seen: (height, width), zeros before and after.
     """
-    height, width = labels.shape
-    cx = np.empty(n, np.float64)
-    cy = np.empty(n, np.float64)
     hits, paintings, off, k = 0, 0, 0, 0
     for step in range(steps):
-        stop_us = t0_us + (step + 1) * step_us
+        begin_us = t0_us + step * step_us
         first = k
-        while k < len(t_us) and (t_us[k] < stop_us or step == steps - 1):
+        while k < len(t_us) and (t_us[k] < begin_us + step_us or step == steps - 1):
             k += 1
-        if k == first:
-            continue
-        seconds = (step + 0.5) * step_us / US_PER_S
-        for i in range(n):
-            cx[i] = state[0, i] + state[2, i] * seconds
-            cy[i] = state[1, i] + state[3, i] * seconds
-        if n_painted < 0 or moved(painted, n_painted, cx, cy, n):
-            old = n_painted if n_painted >= 0 else -n_painted - 1
-            paint(labels, painted, old, cx, cy, state[4], n)
-            n_painted = n
-            paintings += 1
-        for j in range(first, k):
-            x, y = x_px[j], y_px[j]
-            if x >= width or y >= height:
-                off += 1
-                continue
-            label = labels[y, x]
-            if label != 0:
-                hit[hits] = j
-                hit_label[hits] = label
-                fresh = seen[y, x] < PIXEL_LIMIT
-                seen[y, x] += fresh
-                hit_dx[hits] = x - cx[label - 1] if fresh else np.nan
-                hit_dy[hits] = y - cy[label - 1]
-                hits += 1
-    for j in range(hits):
-        seen[y_px[hit[j]], x_px[hit[j]]] = 0
+        if k > first:
+            # A region is painted where it is in the middle of the step.
+            carry(state, n, 0.5 * step_us)
+            if n_painted < 0 or moved(painted, n_painted, state, n):
+                paint(labels, painted, n_painted if n_painted >= 0 else -n_painted - 1, state, n)
+                n_painted = n
+                paintings += 1
+            hits, missed = look_up(
+                t_us[first:k], x_px[first:k], y_px[first:k], first, begin_us, step_us,
+                labels, state, heard, counts, hits, hit, hit_label, seen,
+            )  # fmt: skip
+            off += missed
+            carry(state, n, 0.5 * step_us)
+        else:
+            carry(state, n, float(step_us))
+        share(state, centred_us, n, begin_us + step_us)
+        settle(state, centred_us, heard, counts, n, begin_us + step_us, step_us, noise_per_px_us, self_centring)
     return hits, paintings, off
 
 
@@ -212,105 +462,3 @@ def sort_by_track(t_us: Times, on: Flags, n: int, hits: int, hit: Ints, hit_labe
         levels[at[i]] = on[hit[j]]
         at[i] += 1
     return starts, times, levels
-
-
-@kernel
-def residuals_by_track(
-    n: int, hits: int, hit_label: Labels, hit_dx: Residuals, hit_dy: Residuals
-) -> tuple[Ints, Residuals, Residuals]:
-    """Return (starts, dx, dy) likewise, without the events beyond their pixel's limit."""
-    starts = np.zeros(n + 1, np.int64)
-    for j in range(hits):
-        starts[hit_label[j]] += not math.isnan(hit_dx[j])
-    for i in range(n):
-        starts[i + 1] += starts[i]
-    at = starts[:n].copy()
-    dx = np.empty(starts[n], np.float32)
-    dy = np.empty(starts[n], np.float32)
-    for j in range(hits):
-        if not math.isnan(hit_dx[j]):
-            i = hit_label[j] - 1
-            dx[at[i]] = hit_dx[j]
-            dy[at[i]] = hit_dy[j]
-            at[i] += 1
-    return starts, dx, dy
-
-
-@kernel
-def trimmed_mean(residual: Residuals, reach_px: float, counts: Ints) -> float:
-    """Return the mean of what is left after a fifth is cut from both ends, to a quarter of a bin's width.
-
-    Args:
-        residual: (n,) px, n > 0, each within reach_px and a pixel of 0.
-        reach_px: the region's radius.
-        counts: scratch, at least 2 BINS_PER_PX (reach_px + 2) long.
-    """
-    half = int((reach_px + 2.0) * BINS_PER_PX)
-    bins = 2 * half
-    counts[:bins] = 0
-    for value in residual:
-        at = math.floor(value * BINS_PER_PX) + half
-        counts[min(max(at, 0), bins - 1)] += 1
-    cut = TRIM * len(residual)
-    low, high = cut, len(residual) - cut
-    below, total = 0.0, 0.0
-    for at in range(bins):
-        above = below + counts[at]
-        inside = min(above, high) - max(below, low)
-        if inside > 0.0:
-            total += inside * (at - half + 0.5)
-        below = above
-    return total / (high - low) / BINS_PER_PX
-
-
-@kernel
-def recentre(
-    starts: Ints,
-    dx: Residuals,
-    dy: Residuals,
-    state: Floats,
-    centred_us: Ints,
-    n: int,
-    noise_per_px: float,
-    now_us: int,
-    window_us: int,
-    counts: Ints,
-) -> int:
-    """Run the filter of the module's head over all tracks; return how many had enough events.
-
-    Args:
-        starts: as `residuals_by_track` returns.
-        dx: (hits,) px.
-        dy: (hits,) px.
-        state: (5, capacity), as of now_us; corrected in place.
-        centred_us: (capacity,) when each was centred last; noted in place.
-        n: how many tracks.
-        noise_per_px: events of the window a pixel outside all regions.
-        now_us: the window's end, or its beginning where the filter runs back.
-        window_us: the window's length, negative where the filter runs back.
-        counts: scratch of `trimmed_mean`.
-    """
-    centred = 0
-    for i in range(n):
-        first, behind = starts[i], starts[i + 1]
-        events = behind - first
-        reach = state[4, i]
-        noise = noise_per_px * math.pi * reach * reach
-        if events < MIN_EVENTS or events < 2.0 * noise + 3.0 * math.sqrt(noise):
-            continue
-        gain = (events - noise) / (events + MIN_EVENTS)
-        rx = gain * trimmed_mean(dx[first:behind], reach, counts)
-        ry = gain * trimmed_mean(dy[first:behind], reach, counts)
-        # A region that was never centred is as if it had been so a window ago; a longer pause counts as the longest.
-        gap_us = min(max(abs(now_us - centred_us[i]), abs(window_us)), PAUSE_LIMIT_US)
-        if centred_us[i] == NEVER:
-            gap_us = abs(window_us)
-        theta = math.exp(-OMEGA_PER_S * min(gap_us / US_PER_S, GAP_LIMIT_S))
-        gap_s = math.copysign(gap_us / US_PER_S, window_us)
-        state[0, i] += (1.0 - theta * theta) * rx
-        state[1, i] += (1.0 - theta * theta) * ry
-        state[2, i] += (1.0 - theta) * (1.0 - theta) * rx / gap_s
-        state[3, i] += (1.0 - theta) * (1.0 - theta) * ry / gap_s
-        centred_us[i] = now_us
-        centred += 1
-    return centred

@@ -1,0 +1,68 @@
+"""Where the regions were: their centres and velocities at the ends of the last windows, in the order of the tracks.
+
+A frame is published later than it ended: by what its receiver looks ahead, and by up to a second where several links
+contend for a track. Its place is that of its own time; and what the tracker says of the past is compared with the past.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from heliograph_services.decoder.routing import Floats, Ints
+
+
+class History:
+    """The last centres and velocities of all tracks.
+
+    Args:
+        rows: how many windows it holds at least.
+    """
+
+    def __init__(self, rows: int) -> None:
+        self._rows = rows
+        self._n = 0
+        self._t_us: Ints = np.empty(2 * rows, np.int64)
+        self._motion: Floats = np.empty((2 * rows, 4, 0), np.float64)
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._n = 0
+        self._motion = np.empty((2 * self._rows, 4, 0), np.float64)
+
+    def record(self, t_us: int, motion: Floats) -> None:
+        """Note x, y, vx, vy of all tracks, (4, n), at a time after the last one noted, or, instead of them, at it."""
+        if self._n and self._t_us[self._n - 1] == t_us:
+            self._n -= 1
+        if self._n == 2 * self._rows:
+            self._n = self._rows
+            self._t_us[: self._n] = self._t_us[self._rows :]
+            self._motion[: self._n] = self._motion[self._rows :]
+        self._t_us[self._n] = t_us
+        self._motion[self._n] = motion
+        self._n += 1
+
+    def keep(self, kept: list[int]) -> None:
+        """Keep these tracks alone, in this order."""
+        self._motion = self._motion[:, :, kept]
+
+    def append(self, t_us: Ints, trail: Floats) -> None:
+        """Add a track with its trail: (4, m) at m > 0 rising times; before and behind it, its ends."""
+        at = self._t_us[: self._n]
+        wider = np.empty((2 * self._rows, 4, self._motion.shape[2] + 1), np.float64)
+        wider[:, :, :-1] = self._motion
+        for row in range(4):
+            wider[: self._n, row, -1] = np.interp(at, t_us, trail[row])
+        self._motion = wider
+
+    def at(self, i: int, t_us: int) -> tuple[float, float, float, float] | None:
+        """Return x, y, vx, vy of track i then, interpolated; None behind the last time noted."""
+        times = self._t_us[: self._n]
+        if not self._n or t_us > times[-1]:
+            return None
+        k = int(np.searchsorted(times, t_us))
+        motion = self._motion[k, :, i]
+        if k > 0:
+            share = (times[k] - t_us) / (times[k] - times[k - 1])
+            motion = motion + share * (self._motion[k - 1, :, i] - motion)
+        x_px, y_px, vx_px_s, vy_px_s = (float(value) for value in motion)
+        return x_px, y_px, vx_px_s, vy_px_s
