@@ -166,6 +166,9 @@ class CyclicReceiver:
             # no window finds a clock in: so the long one is looked at once for a short one's length.
             if self._block % clock.SHORT_BLOCKS == 0:
                 windows.append((clock.LONG_BLOCKS, clock.THRESHOLD_LONG))
+            elif end_us - since_us < clock.LONG_BLOCKS * block_us:
+                # A young track may be a beacon whose word has few edges: 64 bits of it stay just below the threshold.
+                windows.append((2 * clock.SHORT_BLOCKS, clock.THRESHOLD_LONG))
             for blocks, threshold in windows:
                 f, z = clock.peak(self._sums[-blocks:])
                 if z >= threshold:
