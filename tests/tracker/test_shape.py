@@ -45,6 +45,40 @@ def test_streaks_are_not_round_in_either_measure(width: int) -> None:
         assert found.verdict[0] == shape.NOT_ROUND
 
 
+def swept(radius_px: float, dx_px: float, dy_px: float) -> Mask:
+    """Return the pixels that a disc has covered on its way."""
+    out = np.zeros((64, 64), np.bool_)
+    for at in np.linspace(-0.5, 0.5, 60):
+        out |= disc(radius_px, 32 + at * dx_px, 32 + at * dy_px)
+    return out
+
+
+@pytest.mark.parametrize("radius_px", [2.5, 3.0, 4.0, 6.0])
+@pytest.mark.parametrize(("dx_px", "dy_px"), [(20.0, 0.0), (0.0, -20.0), (14.0, 14.0), (-20.0, 8.0)])
+def test_a_disc_that_sweeps_and_blinks_is_a_light_and_says_roughly_how_far_it_moved(
+    radius_px: float, dx_px: float, dy_px: float
+) -> None:
+    streak = swept(radius_px, dx_px, dy_px)
+    found = target_of(streak, on=2, off=1)
+    assert found.light[0]
+    assert found.swept_px[0] == pytest.approx([abs(dx_px), abs(dy_px)], rel=0.4, abs=1.0)
+    # What went one way only was an edge; the paper's measure knows no streaks.
+    assert bool(target_of(streak).light[0]) == (target_of(streak).verdict[0] == shape.ROUND)
+    if target_of(streak).verdict[0] == shape.NOT_ROUND:
+        assert found.verdict[0] == shape.SWEPT
+
+
+def test_a_still_disc_has_not_swept_and_thin_or_bent_streaks_are_no_lights() -> None:
+    assert target_of(disc(3), on=1, off=1).swept_px[0].tolist() == [0, 0]
+    ring = disc(12) & ~disc(10)
+    half = ring.copy()
+    half[:, 30:] = False
+    line = np.zeros((64, 64), np.bool_)
+    line[30:32, 10:40] = True
+    for mask in (line, half, ring):
+        assert not target_of(mask, on=1, off=1).light[0]
+
+
 def test_a_crescent_is_not_round() -> None:
     # What a lit disc of radius 4 draws with its leading edge while it moves by 1.5 px.
     crescent = disc(4, 31.5) & ~disc(4, 30)

@@ -97,6 +97,14 @@ def test_five_beacons_in_noise_are_five_tracks(noise_hz: float, gated: bool) -> 
     assert found.rmse_px < 0.5
 
 
+@pytest.mark.parametrize(("speed_px_s", "bit_rate", "limit_px"), [(1000, 1000.0, 0.7), (2000, 2000.0, 1.2)])
+def test_a_fast_beacon_on_a_bend_is_born_and_followed(speed_px_s: float, bit_rate: float, limit_px: float) -> None:
+    disc = Disc(circle(320, 240, 180, speed_px_s), bit_rate=bit_rate)
+    found = scored(replace(WIDE, discs=(disc,), noise_hz=2e5, gated=True, step_us=100), 0.8)
+    assert is_one_track_a_beacon(found, 1)
+    assert found.rmse_px < limit_px
+
+
 @pytest.mark.parametrize("seen", [0.3, 0.6])
 def test_a_beacon_of_which_few_pixels_fire_is_one_track(seen: float) -> None:
     faint = Disc(circle(320, 240, 100, 150), radius_px=2.5)
@@ -115,7 +123,7 @@ def test_small_and_large_discs_are_followed(radius_px: float) -> None:
     ("a", "b"),
     [
         (line(100, 100, 100, 0), line(250, 100, -100, 10)),  # cross at a small angle
-        (line(20, 100, 300, 0), line(620, 110, -300, -10)),  # head on, through each other
+        (line(20, 100, 300, 0), line(626, 110, -300, -10)),  # head on, through each other, between two instants
         (line(100, 100, 20, 0), line(160, 104, -20, 0)),  # creep past each other, touching
     ],
 )

@@ -57,6 +57,19 @@ def test_an_invalid_track_ends_and_its_place_is_closed_for_longer_each_time() ->
     assert core.counters["births_quarantined"] > 0
 
 
+def test_a_beacon_that_was_read_and_falls_silent_is_born_again_where_it_was() -> None:
+    scene = Scene((Disc(line(100, 100), dark_s=((0.5, 1.5),)),))
+    core = new_core()
+    last: list[str] = []
+    for m in scene.onsets(2.0):
+        for t in feed(core, [m]):
+            core.feed(word(t.as_of_us, "valid" if not 600_000 <= t.as_of_us < 1_500_000 else "invalid", *t.track))
+            last = t.track
+    assert core.counters["tracks_ended_invalid"] == 1
+    assert core.counters["births_quarantined"] == 0
+    assert last == ["b00t-1"]
+
+
 def test_an_invalid_track_that_recovers_stays(two: list[Onsets]) -> None:
     core = new_core()
     out: list[Tracks] = []

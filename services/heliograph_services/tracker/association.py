@@ -206,25 +206,28 @@ def assign(
         chosen[row] = target
         return chosen
     group = _groups(row, target, len(rows), len(targets.x_px))
+    hard = _needs_solver(row, target, group, len(rows) + len(targets.x_px))
+    solved = hard[group]
     order = np.lexsort((target, row, cost, group))
-    hard = [
-        part for part in np.split(order, np.flatnonzero(np.diff(group[order])) + 1) if _needs_solver(row, target, part)
-    ]
-    for part in hard:
+    for which in np.flatnonzero(hard):
+        part = order[group[order] == which]
         _optimal(row[part], target[part], cost[part], chosen)
     taken = np.zeros(len(targets.x_px), np.bool_)
     taken[chosen[chosen >= 0]] = True
-    solved = np.isin(group[order], [group[part[0]] for part in hard])
-    _greedy(order[~solved], row, target, chosen, taken)
+    _greedy(order[~solved[order]], row, target, chosen, taken)
     return chosen
 
 
-def _needs_solver(row: Rows, target: Rows, part: Rows) -> bool:
-    """Return whether a group has several rows and several targets, and few enough of both."""
-    if len(part) < 3:
-        return False
-    n_rows, n_targets = len(np.unique(row[part])), len(np.unique(target[part]))
-    return min(n_rows, n_targets) > 1 and max(n_rows, n_targets) <= DENSE_LIMIT
+def _needs_solver(row: Rows, target: Rows, group: Rows, count: int) -> npt.NDArray[np.bool_]:
+    """Return (count,) bool: the groups that have several rows and several targets, and few enough of both."""
+    members = []
+    for end in (row, target):
+        # Each row, and each target, lies in one group.
+        of_end = np.full(int(end.max()) + 1, -1, np.int64)
+        of_end[end] = group
+        members.append(np.bincount(of_end[of_end >= 0], minlength=count))
+    several = np.minimum(members[0], members[1]) > 1
+    return np.asarray(several & (np.maximum(members[0], members[1]) <= DENSE_LIMIT))
 
 
 @kernel

@@ -91,7 +91,7 @@ class TrackerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     ] = "scales"
     # 0 leaves the memory out, runs several times as fast and errs no more (flow/README.md); the paper has one.
     flow_l_tau: Annotated[float, Meta(ge=0.0, le=0.99, description="the network's memory, l(tau)")] = 0.0
-    # 8 bytes a sample: 50 of them at 10 Hz take 5 kB/s.
+    # 8 bytes a sample and 230 a record: 30 samples at 10 Hz take 5 kB/s.
     flow_samples: Annotated[
         int, Meta(ge=0, le=1000, description="samples in each record on flow/{camera}; 0: no records")
     ] = 0
@@ -101,14 +101,18 @@ class TrackerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     process_noise_px2_s3: Annotated[float, Meta(gt=0.0, le=1e9, description="density of the white acceleration")] = (
         9_000.0
     )
+    # 2 s^2 tau for 20,000 px/s2, which hold 2,000 px/s on a circle of 200 px, for tau = .1 s.
+    process_noise_max_px2_s3: Annotated[
+        float, Meta(gt=0.0, le=1e10, description="the same for tracks that are seen to turn; none that turn if less")
+    ] = 8e7
     # A disc of 13 pixels of which noise and thresholds move the edge: .2 to .4 px.
     measurement_noise_px: Annotated[float, Meta(gt=0.0, le=100.0, description="standard error of a whole target")] = 0.3
     # A drone at 2 m/s and 5 m sees 160 px/s at 3.6 mm: a birth is within two sigma of that.
     initial_speed_px_s: Annotated[float, Meta(gt=0.0, le=1e5, description="standard deviation of a birth's speed")] = (
         100.0
     )
-    # 711 px/s is the paper's drone through a 16 mm lens; twice that.
-    max_speed_px_s: Annotated[float, Meta(gt=0.0, le=1e5, description="speeds are cut to it")] = 1_500.0
+    # A lens that a hand turns at 10 rad/s with f = 1,100 px.
+    max_speed_px_s: Annotated[float, Meta(gt=0.0, le=1e5, description="speeds are cut to it")] = 12_000.0
 
     # -- association --
     # 99.9 % of a chi-squared variable with two degrees of freedom.

@@ -27,9 +27,10 @@ from heliograph.streams import Onsets
 from heliograph.units import US_PER_S
 from heliograph_services.tracker import backends
 from heliograph_services.tracker.config import Clustering, Flow, Kalman, TrackerConfig
-from heliograph_services.tracker.follower import Follower, GridFollower, Numbers
+from heliograph_services.tracker.follower import Follower, GridFollower
 from heliograph_services.tracker.motion import Motion
 from heliograph_services.tracker.one_pixel import OnePixelFollower
+from heliograph_services.tracker.tracks import Numbers
 from heliograph_services.tracker.windows import Cutter
 
 # A gap of onsets up to this long is a lost message or two: tracks coast through it, period by period. A longer one is

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from heliograph.messages import StatusWord
-from heliograph_services.tracker.follower import Numbers
-from heliograph_services.tracker.tracks import Snapshot
+from heliograph_services.tracker.tracks import Numbers, Snapshot
 from heliograph_services.tracker.windows import Window
 
 

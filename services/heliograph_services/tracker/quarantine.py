@@ -1,4 +1,4 @@
-"""Places where an invalid track ended: no births there for a while.
+"""Places where an invalid track ended that had never been valid: no births there for a while.
 
 A lamp is born, judged invalid by the decoder, ended; without a pause it would be born again in the next window. The
 pause doubles each time a track is judged invalid at the same place, up to a limit, and is forgotten after as long a

@@ -9,6 +9,14 @@ barycentre, d the farthest pixel::
 Discs of radius 1.5 px and more score .86 to 1 (distinct) or .66 to .89 (paper), streaks .16 to .45. A target is
 refused as a *birth* if N lies outside {N_min; N_max} or it is less round than r; a track may still use it.
 Polarity is P = (n_on - n_off) / (n_on + n_off).
+
+A disc that sweeps over L pixels while the window lasts is a streak. With the variances l_1 >= l_2 along its own axes::
+
+    L^2 = 12 (l_1 - c l_2)                                c = 1.5: what chance makes of a disc is no motion
+    fill = N / (4 pi sqrt((l_1 + 1/12) (l_2 + 1/12)))     1 for a disc, .95 for a long streak, less for a crescent
+
+(distinct) A streak that is not round is *swept* if it is as full as r_s, as wide as a beacon, and its pixels went both
+ways (`BOTH_SHARE`): a light that blinks while it moves. What an edge leaves behind went one way, or is thin.
 """
 
 from __future__ import annotations
@@ -32,6 +40,21 @@ ROUND: Final = 0
 TOO_FEW: Final = 1
 TOO_MANY: Final = 2
 NOT_ROUND: Final = 3
+SWEPT: Final = 4
+
+# A blinking light fires all its pixels one way, then all of them the other way; a crossing edge fires each pixel one
+# way, and a texture goes on with one polarity or mixes both among different pixels. So a window shows blinking if a
+# share of its pixels went both ways within it (fast light), or if its polarity is clear and not the last clear one
+# (slow light). Clear is the paper's |P| >= .5. The edges of 5 kbit/s put both into every pixel of a 5 ms window that
+# has more than one event; noise on an edge does so in one of twenty.
+BOTH_SHARE: Final = 0.25
+CLEAR: Final = 0.5
+# A disc of 13 pixels whose axes differ by a half does so by chance in one of ten windows.
+CHANCE: Final = 1.5
+# Full streaks score .9 to 1, two parallel lines or a bent one less than .7.
+SWEPT_FILL: Final = 0.75
+# Of a disc of radius 2 px; lines of one and two pixels have .17 and .33.
+SWEPT_VAR_PX2: Final = 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +71,8 @@ class Targets:
         off: (k,) int32.
         both: (k,) int32, pixels that became brighter and darker within the window.
         roundness: (k,) float64.
-        verdict: (k,) uint8: ROUND, TOO_FEW, TOO_MANY or NOT_ROUND.
+        swept_px: (k, 2) float64, how far it moved in the window along each axis, without the sign; sensor pixels.
+        verdict: (k,) uint8: ROUND, SWEPT, TOO_FEW, TOO_MANY or NOT_ROUND.
         piece: (k,) bool: cut out of a larger cluster (`splitting`).
     """
 
@@ -61,11 +85,17 @@ class Targets:
     off: Ints
     both: Ints
     roundness: Floats
+    swept_px: Floats
     verdict: npt.NDArray[np.uint8]
     piece: npt.NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.x_px)
+
+    @property
+    def light(self) -> npt.NDArray[np.bool_]:
+        """(k,) bool: those that have the shape of a light, still or moving."""
+        return np.asarray((self.verdict == ROUND) | (self.verdict == SWEPT))
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +128,10 @@ def _members(labels: Ints, count: int, first: Ints, member: Ints) -> None:
 def _measure(
     x_px: Ints, y_px: Ints, on: Ints, off: Ints, first: Ints, member: Ints, covered: float, out: Floats, events: Ints
 ) -> None:
-    """Fill out (5, k): x, y, var_x + var_y, covering radius and reach of the centres; events (3, k): on, off, both."""
+    """Fill out (7, k) and events (3, k): on, off, both.
+
+    Rows of out: x, y, covering radius and reach of the centres, var_x, var_y, their covariance.
+    """
     for c in range(out.shape[1]):
         start, stop = first[c], first[c + 1]
         n = stop - start
@@ -115,17 +148,19 @@ def _measure(
         x = sx / n
         y = sy / n
         d2 = np.empty(n, np.float64)
-        total = 0.0
         for m in range(n):
             i = member[start + m]
-            d2[m] = (x_px[i] - x) ** 2 + (y_px[i] - y) ** 2
-            total += d2[m]
+            dx = x_px[i] - x
+            dy = y_px[i] - y
+            d2[m] = dx * dx + dy * dy
+            out[4, c] += dx * dx / n
+            out[5, c] += dy * dy / n
+            out[6, c] += dx * dy / n
         d2.sort()
         out[0, c] = x
         out[1, c] = y
-        out[2, c] = total / n
-        out[3, c] = np.sqrt(d2[max(0, int(np.ceil(covered * n)) - 1)])
-        out[4, c] = np.sqrt(d2[n - 1])
+        out[2, c] = np.sqrt(d2[max(0, int(np.ceil(covered * n)) - 1)])
+        out[3, c] = np.sqrt(d2[n - 1])
 
 
 def measure(active: Active, labels: Ints, piece: npt.NDArray[np.bool_], pool_px: int, rule: ShapeFilter) -> Targets:
@@ -141,16 +176,20 @@ def measure(active: Active, labels: Ints, piece: npt.NDArray[np.bool_], pool_px:
     count = len(piece)
     first = np.zeros(count + 1, np.int32)
     member = np.empty(len(active), np.int32)
-    out = np.zeros((5, count), np.float64)
+    out = np.zeros((7, count), np.float64)
     events = np.zeros((3, count), np.int32)
     _members(labels, count, first, member)
     _measure(active.x_px, active.y_px, active.on, active.off, first, member, COVERED, out, events)
     pixels = np.diff(first)
     if rule.shape == "distinct":
-        roundness = pixels / (2 * np.pi * (out[2] + 1 / 6))
+        roundness = pixels / (2 * np.pi * (out[4] + out[5] + 1 / 6))
     else:
-        roundness = pixels / (np.pi * (out[4] + 0.5) ** 2)
+        roundness = pixels / (np.pi * (out[3] + 0.5) ** 2)
+    swept_px, fill, width_var = _swept(pixels, out[4], out[5], out[6])
     verdict = np.where(roundness < rule.min_roundness, NOT_ROUND, ROUND).astype(np.uint8)
+    if rule.shape == "distinct":
+        moving = (fill >= SWEPT_FILL) & (width_var >= SWEPT_VAR_PX2) & (events[2] >= BOTH_SHARE * pixels)
+        verdict[(verdict == NOT_ROUND) & moving] = SWEPT
     verdict[pixels > rule.max_pixels] = TOO_MANY
     verdict[pixels < rule.min_pixels] = TOO_FEW
     middle = (pool_px - 1) / 2
@@ -158,12 +197,26 @@ def measure(active: Active, labels: Ints, piece: npt.NDArray[np.bool_], pool_px:
         x_px=out[0] * pool_px + middle,
         y_px=out[1] * pool_px + middle,
         pixels=pixels,
-        radius_px=(out[3] + 0.5) * pool_px,
-        reach_px=(out[4] + 0.5) * pool_px,
+        radius_px=(out[2] + 0.5) * pool_px,
+        reach_px=(out[3] + 0.5) * pool_px,
         on=events[0],
         off=events[1],
         both=events[2],
         roundness=roundness,
+        swept_px=swept_px * pool_px,
         verdict=verdict,
         piece=piece,
     )
+
+
+def _swept(pixels: Ints, var_x: Floats, var_y: Floats, cov: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return (k, 2) how far discs swept along x and y, (k,) how full, (k,) the variance across; see the module."""
+    mean, half = (var_x + var_y) / 2, (var_x - var_y) / 2
+    root = np.hypot(half, cov)
+    along, across = mean + root, np.maximum(mean - root, 0.0)
+    length_px = np.sqrt(12 * np.maximum(along - CHANCE * across, 0.0))
+    # The long axis lies at the angle a from x: cos 2a = half / root.
+    cos2 = np.divide(half, root, out=np.zeros_like(root), where=root > 0)
+    swept = np.stack([np.sqrt((1 + cos2) / 2), np.sqrt(np.maximum(1 - cos2, 0.0) / 2)], axis=1) * length_px[:, None]
+    fill = pixels / (4 * np.pi * np.sqrt((along + 1 / 12) * (across + 1 / 12)))
+    return swept, fill, across

@@ -49,6 +49,18 @@ class Snapshot:
     status: list[StatusWord]
 
 
+@dataclass(slots=True)
+class Numbers:
+    """The next track's number, across streams; never falls."""
+
+    next: int = 0
+
+    def take(self) -> int:
+        """Return a number and never again the same."""
+        self.next += 1
+        return self.next - 1
+
+
 class TrackTable:
     """Struct of arrays of n rows.
 
@@ -57,8 +69,8 @@ class TrackTable:
         born_us: (n,) int64, begin of the window of the first target.
         seen_us: (n,) int64, end of the window of the last target.
         invalid_us: (n,) int64, since when the decoder calls it invalid, else NEVER.
-        hits: (n,) int64, windows with a round target.
-        blinks: (n,) int64, windows that show a blinking light and no crossing edge (`follower.BOTH_SHARE`).
+        hits: (n,) int64, windows with a target that has the shape of a light.
+        blinks: (n,) int64, windows that show a blinking light and no crossing edge (`shape.BOTH_SHARE`).
         sign: (n,) int64, of the last clear polarity: 1, -1, or 0 before there was one.
         status: (n,) int64, index into WORDS.
         radius_px: (n,) float64, covers nine tenths of the target's pixels, smoothed.
@@ -66,12 +78,16 @@ class TrackTable:
         polarity: (n,) float64, of the last target.
         state: (n, 4) float64, see `kalman`.
         cov: (n, 6) float64.
+        read: (n,) bool, whether it was ever valid.
         flow_px_s: (n, 2) float64, the last velocity that the flow gave; nan before.
+        q: (n,) float64, px^2/s^3, the acceleration that it is believed capable of (`sighting`).
+        lag_px: (n, 2) float64, mean of the last innovations.
+        power_px2: (n,) float64, mean of their squares.
     """
 
     COLUMNS: Final = (
-        "number", "born_us", "seen_us", "invalid_us", "hits", "blinks", "sign", "status",
-        "radius_px", "size_px", "polarity", "state", "cov", "flow_px_s",
+        "number", "born_us", "seen_us", "invalid_us", "hits", "blinks", "sign", "status", "read",
+        "radius_px", "size_px", "polarity", "state", "cov", "flow_px_s", "q", "lag_px", "power_px2",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -83,12 +99,16 @@ class TrackTable:
         self.blinks: Longs = np.empty(0, np.int64)
         self.sign: Longs = np.empty(0, np.int64)
         self.status: Longs = np.empty(0, np.int64)
+        self.read: Flags = np.empty(0, np.bool_)
         self.radius_px: Floats = np.empty(0, np.float64)
         self.size_px: Floats = np.empty(0, np.float64)
         self.polarity: Floats = np.empty(0, np.float64)
         self.state: Floats = np.empty((0, 4), np.float64)
         self.cov: Floats = np.empty((0, 6), np.float64)
         self.flow_px_s: Floats = np.empty((0, 2), np.float64)
+        self.q: Floats = np.empty(0, np.float64)
+        self.lag_px: Floats = np.empty((0, 2), np.float64)
+        self.power_px2: Floats = np.empty(0, np.float64)
 
     def __len__(self) -> int:
         return len(self.number)
@@ -115,13 +135,14 @@ class TrackTable:
         sign: Longs,
         born_us: int,
         seen_us: int,
-        speed_var: float,
+        speed_var: Floats | float,
+        q: float = 0.0,
     ) -> None:
         """Add k rows in birth.
 
         Args:
             xy_px: (k, 2) float64.
-            var_px2: (k,) float64, of each axis.
+            var_px2: (k, 2) float64, of the place on each axis; or (k,), of both.
             radius_px: (k,) float64.
             size_px: (k,) float64.
             polarity: (k,) float64.
@@ -129,13 +150,14 @@ class TrackTable:
             sign: (k,) int64, of a clear polarity, else 0.
             born_us: of all.
             seen_us: of all.
-            speed_var: variance of the unknown speed on each axis, (px/s)^2.
+            speed_var: (k, 2) float64, or one, variance of the unknown speed on each axis, (px/s)^2.
+            q: of all, px^2/s^3; a sighting raises it to what is allowed at least.
         """
         k = len(xy_px)
         cov = np.zeros((k, 6))
-        cov[:, 0] = cov[:, 3] = var_px2
-        cov[:, 2] = cov[:, 5] = speed_var
-        new: dict[str, Floats | Longs] = {
+        cov[:, [0, 3]] = var_px2.reshape(k, -1)
+        cov[:, [2, 5]] = speed_var
+        new: dict[str, Floats | Longs | Flags] = {
             "number": np.full(k, UNNAMED, np.int64),
             "born_us": np.full(k, born_us, np.int64),
             "seen_us": np.full(k, seen_us, np.int64),
@@ -144,12 +166,16 @@ class TrackTable:
             "blinks": blinks.astype(np.int64),
             "sign": sign,
             "status": np.full(k, NEW, np.int64),
+            "read": np.zeros(k, np.bool_),
             "radius_px": radius_px,
             "size_px": size_px,
             "polarity": polarity,
             "state": np.concatenate([xy_px, np.zeros((k, 2))], axis=1),
             "cov": cov,
             "flow_px_s": np.full((k, 2), np.nan),
+            "q": np.full(k, q),
+            "lag_px": np.zeros((k, 2)),
+            "power_px2": np.zeros(k),
         }
         for name in self.COLUMNS:
             setattr(self, name, np.concatenate([getattr(self, name), new[name]]))
@@ -166,6 +192,7 @@ class TrackTable:
             elif self.status[i] != INVALID:
                 self.invalid_us[i] = at_us
             self.status[i] = code
+            self.read[i] |= code == VALID
 
     def rename(self, number: dict[int, int]) -> None:
         """Give rows other numbers, by the old ones; a number keeps its birth.
