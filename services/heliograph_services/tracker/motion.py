@@ -11,11 +11,12 @@ how fast do the surroundings move (`carried`). `NoMotion` knows neither; `networ
     both       the filter's own; while a row is in birth the flow's v_f is a measurement of v:
                    S = P_vv + r,  x += P_xv / S (v_f - v),  v += P_vv / S (v_f - v)
                    P_xx -= P_xv^2 / S,  P_xv *= r / S,  P_vv *= r / S
-               a row that is not seen is carried by what the surroundings' motion c changed since it was:
-                   v += c(x, now) - c(x, when last seen)
+               a row that is not seen is carried by what the surroundings' motion c has changed since it was:
+                   v += dc,  x += a dc                dc = c(x, now) - c(x, before), a = age of what c says (AGE_US)
 
 The last line holds for whatever moves evenly in the scene while the camera turns, and for all that stands still. Being
-a difference, it also takes an error of c out that stays the same.
+a difference, it also takes an error of c out that stays the same. c tells late: a change that a row still showed itself
+is not counted again, and one that it did not has moved it for the time a before it was known.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ import numpy.typing as npt
 
 from heliograph.messages import Message
 from heliograph.streams import Onsets
+from heliograph.units import US_PER_S
 from heliograph_services.tracker.config import Prediction, TrackerConfig
 from heliograph_services.tracker.tracks import TrackTable
 
@@ -35,6 +37,9 @@ Longs = npt.NDArray[np.int64]
 
 # The flow's samples live for 30 to 150 ms: asked more often, it says the same again.
 ASK_US: Final = 20_000
+# A fit's samples are held for 6 ticks, and a neuron's synapses lie up to 10 ticks back: on average 8 ticks, which are
+# 40, 80 and 200 ms, and half the time between two fits.
+AGE_US: Final = 100_000
 # Below it noise may have made it (flow/README.md).
 CONFIDENCE_LEAST: Final = 0.3
 # Texture begins more births than there is time to ask for; the first ones are asked for.
@@ -173,15 +178,17 @@ class Steering:
         return self._motion.velocities(table.state[rows, 0], table.state[rows, 1], table.radius_px[rows], at_us)
 
     def _carry(self, table: TrackTable, before_us: int, at_us: int) -> None:
-        """Rows that were not seen in this window take part in the change of the surroundings' motion."""
-        rows = np.flatnonzero(table.seen_us <= before_us)
+        """Rows that are not seen take part in the changes of the surroundings' motion."""
+        rows = np.flatnonzero(table.seen_us <= before_us - AGE_US)
         if len(rows) == 0:
             return
         x_px, y_px = table.state[rows, 0], table.state[rows, 1]
         before, sure_before = self._motion.carried(x_px, y_px, before_us)
         now, sure = self._motion.carried(x_px, y_px, at_us)
         sure_enough = np.minimum(sure_before, sure) >= CONFIDENCE_LEAST
-        table.state[rows, 2:] += np.where(sure_enough[:, None], now - before, 0.0)
+        change = np.where(sure_enough[:, None], now - before, 0.0)
+        table.state[rows, 2:] += change
+        table.state[rows, :2] += AGE_US / US_PER_S * change
 
 
 def make(config: TrackerConfig, first: Onsets) -> Motion:

@@ -8,6 +8,7 @@ absolute, so nothing depends on how the stream was cut.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -17,15 +18,18 @@ from heliograph.flow import Flow
 from heliograph.messages import Message
 from heliograph.streams import Onsets
 from heliograph_services.tracker.config import TrackerConfig
+from heliograph_services.tracker.flow.kernel import make_runtime
+from heliograph_services.tracker.flow.network import FlowNetwork
 from heliograph_services.tracker.flow.pyramid import FlowPyramid, FlowSamples
 from heliograph_services.tracker.flow.settings import FlowSettings
+from heliograph_services.tracker.flow.spikes import Runtime
 from heliograph_services.tracker.flow.surroundings import Motion as Surroundings
 from heliograph_services.tracker.motion import CONFIDENCE_LEAST, Motion, NoMotion
 
 Floats = npt.NDArray[np.float64]
 
-# A camera that turns at 300 degrees/s2 through a lens of 400 px changes its motion by 2000 px/s2: 200 px/s in this.
-REFRESH_US: Final = 100_000
+# A camera that turns round within .2 s at 200 px/s changes its motion by 2000 px/s2: 100 px/s in this.
+REFRESH_US: Final = 50_000
 # Over a gap of texture the last motion is better than none; later the camera may do something else.
 HELD_US: Final = 300_000
 # The errors of discs and textures at a confidence above the least are 2 to 25 % and, at the slowest scale, 10 px/s.
@@ -49,6 +53,7 @@ class NetworkMotion:
         self._camera = config.camera
         self._period_us = config.period_us
         self._samples_limit = config.flow_samples
+        self._carries = config.prediction == "both"
         self._fits: deque[tuple[int, Surroundings]] = deque()
         self._samples: deque[FlowSamples] = deque()
         self._records: list[Message] = []
@@ -56,7 +61,7 @@ class NetworkMotion:
     def feed(self, onsets: Onsets) -> None:
         """Take the stream's next onsets."""
         samples = self._pyramid.feed(onsets)
-        for at_us in _multiples(onsets.t0_us, onsets.t1_us, REFRESH_US):
+        for at_us in _multiples(onsets.t0_us, onsets.t1_us, REFRESH_US) if self._carries else ():
             fit = self._pyramid.surroundings(at_us)
             if fit is not None and fit.confidence >= CONFIDENCE_LEAST:
                 self._fits.append((at_us, fit))
@@ -138,11 +143,24 @@ def settings_of(config: TrackerConfig) -> FlowSettings:
     return FlowSettings(l_tau=config.flow_l_tau)
 
 
-def make(config: TrackerConfig, first: Onsets) -> Motion:
-    """Return the motion of the stream that these onsets are the first of; one pixel has none."""
+def make_with(runtime: Callable[[FlowNetwork, int, int], Runtime], config: TrackerConfig, first: Onsets) -> Motion:
+    """Return the motion of the stream that these onsets are the first of, its networks run by a runtime.
+
+    One pixel has no motion.
+    """
     if first.width == first.height == 1:
         return NoMotion()
     pyramid = FlowPyramid(
-        settings_of(config), width=first.width, height=first.height, tick_us=first.tick_us, pool_px=first.pool_px
+        settings_of(config),
+        width=first.width,
+        height=first.height,
+        tick_us=first.tick_us,
+        pool_px=first.pool_px,
+        runtime=runtime,
     )
     return NetworkMotion(pyramid, config)
+
+
+def make(config: TrackerConfig, first: Onsets) -> Motion:
+    """Return the motion of a stream by the fastest exact runtime; see `make_with`."""
+    return make_with(make_runtime, config, first)
