@@ -99,7 +99,7 @@ class _Nothing:
         self.x: Any = np.empty(0, np.int64)
         self.y: Any = np.empty(0, np.int64)
 
-    def step(self, x: Any, y: Any) -> Any:
+    def step(self, x: Any, y: Any, wanted: Any = None) -> Any:
         self.x, self.y = x.astype(np.int64), y.astype(np.int64)
         return NO_SPIKES
 

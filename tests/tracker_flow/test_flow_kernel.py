@@ -135,3 +135,23 @@ def test_a_network_without_memory_runs_by_words_and_one_with_memory_by_tables() 
     assert isinstance(make_runtime(paper_network(0.5), 64, 48), TableRuntime)
     halves = replace(paper_network(), weight=np.full((32, 25), 0.5, np.float32))
     assert isinstance(make_runtime(halves, 64, 48), TableRuntime)
+
+
+@pytest.mark.parametrize("l_tau", [0.0, 0.5])
+def test_what_is_not_wanted_is_left_out_and_nothing_else(l_tau: float) -> None:
+    network = paper_network(l_tau)
+    rng = np.random.default_rng(8)
+    for whole, part in zip(runtimes(network, 130, 20), runtimes(network, 130, 20), strict=True):
+        left_out = 0
+        for x in images(130, 20, 60, seed=7):
+            wanted = rng.choice(np.array([0, 1, 8, 40], np.uint8), (20, 3))
+            row, column = np.nonzero(x)
+            want = {
+                (cx, cy, k): s
+                for (cx, cy, k), s in fed(whole, x).items()
+                if wanted[cy, cx // 64] and s >= wanted[cy, cx // 64]
+            }
+            got = named(part.step(column, row, wanted))
+            assert got == want
+            left_out += len(want) == 0
+        assert left_out < 30

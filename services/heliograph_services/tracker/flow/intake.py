@@ -30,52 +30,50 @@ NEVER: Final = -1e9
 
 @kernel
 def _collect(
-    x: Any, y: Any, on: Any, off: Any, start: int, stop: int, factor: int, part: float,
-    counts: Any, first: Any, cells: Any, n: int,
-) -> int:  # fmt: skip
-    """Add entries start .. stop of one stream tick to the counts; list new cells as (x, y); return how many."""
-    for i in range(start, stop):
-        cx = x[i] // factor
-        cy = y[i] // factor
-        if counts[cy + 1, cx + 1] == 0:
-            cells[0, n] = cx
-            cells[1, n] = cy
+    x: Any, y: Any, on: Any, off: Any, column: Any, row: Any, part: float, counts: Any, cells: Any, first: Any, n: int
+) -> int:
+    """Add the entries of one stream tick to the counts; list new cells with their time in the tick; return how many."""
+    for i in range(len(x)):
+        cell = row[y[i]] + column[x[i]]
+        before = counts[cell]
+        if before == 0:
+            cells[n] = cell
+            first[n] = part
             n += 1
-            first[cy, cx] = part
-        counts[cy + 1, cx + 1] += np.int32(on[i]) + np.int32(off[i])
+        counts[cell] = before + np.int32(on[i]) + np.int32(off[i])
     return n
 
 
 @kernel
-def _around(counts: Any, cx: int, cy: int) -> int:
-    """Return the events of the 3 x 3 around a pixel; counts has a margin of one."""
-    total = 0
-    for y in range(cy, cy + 3):
-        for x in range(cx, cx + 3):
-            total += counts[y, x]
-    return total
+def _around(counts: Any, cell: int, stride: int) -> int:
+    """Return the events of the 3 x 3 around a cell."""
+    above = cell - stride
+    below = cell + stride
+    total = counts[above - 1] + counts[above] + counts[above + 1]
+    total += counts[cell - 1] + counts[cell] + counts[cell + 1]
+    return total + counts[below - 1] + counts[below] + counts[below + 1]
 
 
 @kernel
 def _release(
-    cells: Any, n: int, tick: int, at_least: int, silence: int, counts: Any, first: Any, active_at: Any, arrival: Any,
-    out: Any,
+    cells: Any, first: Any, n: int, tick: int, at_least: int, silence: int, counts: Any, stride: int, active_at: Any,
+    arrival: Any, out: Any,
 ) -> int:  # fmt: skip
     """Write the inputs of this tick to out (2, n) and their arrival, clear the counts; return how many."""
     kept = 0
     for i in range(n):
-        cx = cells[0, i]
-        cy = cells[1, i]
-        if at_least > 1 and _around(counts, cx, cy) < at_least:
+        cell = cells[i]
+        # Its own events are of the 3 x 3.
+        if counts[cell] < at_least and _around(counts, cell, stride) < at_least:
             continue
-        if tick - active_at[cy, cx] > silence:
-            out[0, kept] = cx
-            out[1, kept] = cy
+        if tick - active_at[cell] > silence:
+            out[0, kept] = cell % stride - REACH
+            out[1, kept] = cell // stride - REACH
             kept += 1
-            arrival[cy + REACH, cx + REACH] = tick + first[cy, cx]
-        active_at[cy, cx] = tick
+            arrival[cell] = tick + first[i]
+        active_at[cell] = tick
     for i in range(n):
-        counts[cells[1, i] + 1, cells[0, i] + 1] = 0
+        counts[cells[i]] = 0
     return kept
 
 
@@ -95,15 +93,17 @@ class Intake:
 
     def __init__(self, width: int, height: int, factor: int, silence: int, noise_share: float) -> None:
         self.arrival = np.full((height + 2 * REACH, width + 2 * REACH), NEVER)
-        self._size = (width, height)
-        self._factor = factor
         self._silence = silence
         self._share = noise_share
-        # With a margin, which spares the 3 x 3 every test for the border.
-        self._counts = np.zeros((height + 2, width + 2), np.int32)
-        self._first = np.zeros((height, width), np.float64)
-        self._active_at = np.full((height, width), -(2**40), np.int64)
-        self._cells = np.empty((2, width * height), np.int32)
+        # Cells lie in one row of memory with the margin of `arrival`, which spares them every test for the border; the
+        # tables spare a division an entry.
+        self._stride = width + 2 * REACH
+        self._column = (np.arange(width * factor) // factor + REACH).astype(np.int32)
+        self._row = ((np.arange(height * factor) // factor + REACH) * self._stride).astype(np.int32)
+        self._counts = np.zeros(self.arrival.size, np.int32)
+        self._active_at = np.full(self.arrival.size, -(2**40), np.int64)
+        self._cells = np.empty(width * height, np.int32)
+        self._first = np.empty(width * height, np.float64)
         self._n = 0
 
     def collect(
@@ -124,7 +124,7 @@ class Intake:
             part: the stream tick's middle within the network tick, 0 to 1.
         """
         self._n = _collect(
-            x, y, on, off, 0, len(x), self._factor, part, self._counts, self._first, self._cells, self._n
+            x, y, on, off, self._column, self._row, part, self._counts, self._cells, self._first, self._n
         )
 
     def release(self, tick: int, noise: float) -> npt.NDArray[np.int32]:
@@ -136,8 +136,8 @@ class Intake:
         """
         out = np.empty((2, self._n), np.int32)
         kept = _release(
-            self._cells, self._n, tick, threshold(noise, self._share), self._silence, self._counts, self._first,
-            self._active_at, self.arrival, out,
+            self._cells, self._first, self._n, tick, threshold(noise, self._share), self._silence, self._counts,
+            self._stride, self._active_at, self.arrival.ravel(), out,
         )  # fmt: skip
         self._n = 0
         return out[:, :kept]

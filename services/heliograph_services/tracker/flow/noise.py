@@ -21,8 +21,13 @@ import numpy.typing as npt
 
 from heliograph_services.tracker.jit import kernel
 
-# A tick's weight in the means: noise changes with the light, in seconds; ticks are milliseconds.
+# A measured tick's weight in the means: noise changes with the light, in seconds; ticks are milliseconds.
 SMOOTHING: Final = 0.05
+# Of the stream's ticks, every fourth is enough once there is a mean: measuring costs as much as pooling three scales.
+EVERY: Final = 4
+EACH_AT_FIRST: Final = 20
+# Sixteen times a stamp stays within int32.
+STAMPS: Final = 2**26
 # Fewer empty 3 x 3 than this say nothing of how many stand alone.
 EMPTY_LEAST: Final = 16.0
 # Where pairs that stand alone are most frequent; more noise makes fewer of them again.
@@ -32,27 +37,31 @@ ROUNDS: Final = 16
 
 
 @kernel
-def _survey(x: Any, y: Any, on: Any, off: Any, near: Any, seen: Any, stamp: int) -> Any:
+def _survey(x: Any, y: Any, on: Any, off: Any, near: Any, stamp: int) -> Any:
     """Return the pixels that stand alone with one event, with two, with any; and those in reach of any event.
 
-    near and seen hold, with a margin of one, the stamped number of events' pixels in reach of each pixel.
+    near holds, with a margin of one, 16 stamp + the number of entries in reach of a pixel; older stamps count as none.
     """
     reached = 0
     height = near.shape[0] - 2
     width = near.shape[1] - 2
+    none = np.int32(stamp << 4)
     for i in range(len(x)):
-        for qy in range(y[i], y[i] + 3):
-            for qx in range(x[i], x[i] + 3):
-                if seen[qy, qx] != stamp:
-                    seen[qy, qx] = stamp
-                    near[qy, qx] = 0
+        cy = np.int64(y[i])
+        cx = np.int64(x[i])
+        for qy in range(cy, cy + 3):
+            for qx in range(cx, cx + 3):
+                now = near[qy, qx]
+                if now < none:
+                    now = none
                     reached += 0 < qy <= height and 0 < qx <= width
-                near[qy, qx] += 1
+                near[qy, qx] = now + 1
     one = 0
     two = 0
     alone = 0
+    single = none + 1
     for i in range(len(x)):
-        if near[y[i] + 1, x[i] + 1] == 1:
+        if near[np.int64(y[i]) + 1, np.int64(x[i]) + 1] == single:
             count = np.int64(on[i]) + np.int64(off[i])
             alone += 1
             one += count == 1
@@ -69,25 +78,26 @@ class NoiseMeter:
 
     Attributes:
         events: lambda, events a pixel and stream tick.
+        ticks: how many were measured.
     """
 
     def __init__(self, width: int, height: int) -> None:
         self.events = 0.0
         self._pixels = width * height
-        self._near = np.zeros((height + 2, width + 2), np.uint8)
-        self._seen = np.full((height + 2, width + 2), -1, np.int64)
+        self._near = np.zeros((height + 2, width + 2), np.int32)
         self._mean = np.zeros(5)  # alone with one event, with two, with any; empty 3 x 3; pixels without events
-        self._ticks = 0
+        self.ticks = 0
 
     def measure(self, x: npt.NDArray[Any], y: npt.NDArray[Any], on: npt.NDArray[Any], off: npt.NDArray[Any]) -> None:
         """Take a tick's entries: (n,) distinct pixels and their events."""
-        one, two, alone, reached = _survey(
-            x.astype(np.int64), y.astype(np.int64), on, off, self._near, self._seen, self._ticks
-        )
-        self._ticks += 1
+        stamp = self.ticks % STAMPS + 1
+        if stamp == 1:
+            self._near[:] = 0
+        one, two, alone, reached = _survey(x, y, on, off, self._near, stamp)
+        self.ticks += 1
         now = np.array([one, two, alone, self._pixels - reached, self._pixels - len(x)], np.float64)
         # The plain mean of what there is so far at first.
-        self._mean += (now - self._mean) * max(SMOOTHING, 1 / self._ticks)
+        self._mean += (now - self._mean) * max(SMOOTHING, 1 / self.ticks)
         one_, two_, alone_, void, empty = self._mean.tolist()
         if two_ > one_:
             self.events = _of_pairs(two_ / self._pixels)
@@ -95,6 +105,11 @@ class NoiseMeter:
         self.events = float(-np.log(max(empty, 0.5) / self._pixels))
         if void >= EMPTY_LEAST:
             self.events = min(self.events, float(np.log1p(alone_ / void)))
+
+
+def is_due(tick: int, measured: int) -> bool:
+    """Return whether a stream's tick of this number is measured."""
+    return measured < EACH_AT_FIRST or tick % EVERY == 0
 
 
 def _of_pairs(two: float) -> float:

@@ -25,8 +25,9 @@ from heliograph_services.tracker.flow.intake import Intake
 from heliograph_services.tracker.flow.kernel import make_runtime
 from heliograph_services.tracker.flow.local import local_motion
 from heliograph_services.tracker.flow.network import FlowNetwork, paper_network
-from heliograph_services.tracker.flow.noise import NoiseMeter
+from heliograph_services.tracker.flow.noise import NoiseMeter, is_due
 from heliograph_services.tracker.flow.readout import Reader
+from heliograph_services.tracker.flow.sampling import Sampler
 from heliograph_services.tracker.flow.settings import FlowSettings, Scale
 from heliograph_services.tracker.flow.spikes import TICKS, Runtime
 from heliograph_services.tracker.flow.surroundings import Motion, fit_motion
@@ -79,7 +80,8 @@ class FlowPyramid:
         runtime: makes what runs it, for an image of so many columns and rows; the fastest exact one.
 
     Attributes:
-        counters: "ticks", "inputs", "spikes", "samples" and "flashes" (ticks skipped for too many inputs).
+        counters: "ticks", "inputs", "spikes", "samples", "unread" (rows of 64 outputs that were left out) and "flashes"
+            (ticks skipped for too many inputs).
     """
 
     def __init__(
@@ -93,7 +95,7 @@ class FlowPyramid:
         network: FlowNetwork | None = None,
         runtime: Callable[[FlowNetwork, int, int], Runtime] = make_runtime,
     ) -> None:
-        self.counters = dict.fromkeys(("ticks", "inputs", "spikes", "samples", "flashes"), 0)
+        self.counters = dict.fromkeys(("ticks", "inputs", "spikes", "samples", "unread", "flashes"), 0)
         network = network or paper_network(settings.l_tau, settings.v_th)
         self._until_us: int | None = None
         self._size = (width, height)
@@ -126,7 +128,8 @@ class FlowPyramid:
             for run in self._scales:
                 out += run.collect(onsets.t0_us + k * self._tick_us, self._noise.events, *entries)
             # After: a network tick that ended before this tick knows nothing of it, however messages are cut.
-            self._noise.measure(*entries)
+            if is_due(onsets.t0_us // self._tick_us + k, self._noise.ticks):
+                self._noise.measure(*entries)
         for run in self._scales:
             out += run.finish(onsets.t1_us, self._noise.events)
             run.forget(onsets.t0_us)
@@ -215,6 +218,7 @@ class _ScaleRun:
         self._tick_us = tick_us
         self._intake = Intake(columns, rows, scale.pool_px // pool_px, scale.silence_ticks, settings.noise_share)
         self._runtime = runtime(network, columns, rows)
+        self._sampler = Sampler(columns, rows, settings.tile_inputs * max(1.0, scale.step_us / 10_000), network.v_th)
         self._reader = Reader(network, columns, rows, settings.readout == "fit")
         self._recent: tuple[int, _Recent | None] | None = None  # the last answer of `recent`, until more is fed
         self._now: int | None = None  # the tick that is being collected
@@ -307,6 +311,7 @@ class _ScaleRun:
             out += self._tick(noise * self._cell_ticks)
         if self._now < tick:
             self._runtime.skip(tick - self._now)
+            self._sampler.skip(tick - self._now)
             self._now = tick
         return out
 
@@ -318,10 +323,12 @@ class _ScaleRun:
             self._counters["flashes"] += 1
             cells = cells[:, :0]
         self._quiet = 0 if cells.shape[1] else self._quiet + 1
-        spikes = self._runtime.step(cells[0], cells[1])
+        wanted, unread = self._sampler.choose(cells[0], cells[1], self._now)
+        spikes = self._runtime.step(cells[0], cells[1], wanted)
         samples = self._reader.read(spikes, self._intake.arrival, self._now)
         self._now += 1
         self._counters["inputs"] += cells.shape[1]
+        self._counters["unread"] += unread
         self._counters["spikes"] += len(spikes)
         self._counters["samples"] += len(samples)
         if len(samples) == 0:

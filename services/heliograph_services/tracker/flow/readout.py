@@ -62,8 +62,8 @@ class Samples:
 
 
 @kernel
-def _gather(x: Any, y: Any, k: Any, s: Any, velocity: Any, slot: Any, sums: Any, best: Any) -> int:
-    """Sum spikes by pixel: sums (n, 5) = s^3, s^3 v (2), s^3 u (2); best (n, 4) = x, y, neuron, 1000 s."""
+def _gather(x: Any, y: Any, k: Any, s: Any, tuning: Any, slot: Any, sums: Any, best: Any) -> int:
+    """Sum spikes by pixel: sums (n, 5) = s^3, s^3 v (2), s^3 u (2); best (n, 4) = x, y, neuron, s; tuning is v, u."""
     n = 0
     for i in range(len(x)):
         j = slot[y[i], x[i]] - 1
@@ -74,16 +74,13 @@ def _gather(x: Any, y: Any, k: Any, s: Any, velocity: Any, slot: Any, sums: Any,
             best[j, 0] = x[i]
             best[j, 1] = y[i]
             best[j, 3] = -1.0
-            sums[j] = 0.0
-        cube = np.float64(s[i]) ** 3
-        vx = velocity[k[i], 0]
-        vy = velocity[k[i], 1]
-        speed = np.sqrt(vx * vx + vy * vy)
+            for column in range(5):
+                sums[j, column] = 0.0
+        potential = np.float64(s[i])
+        cube = potential * potential * potential
         sums[j, 0] += cube
-        sums[j, 1] += cube * vx
-        sums[j, 2] += cube * vy
-        sums[j, 3] += cube * vx / speed
-        sums[j, 4] += cube * vy / speed
+        for i_tuning in range(4):
+            sums[j, 1 + i_tuning] += cube * tuning[k[i], i_tuning]
         if s[i] > best[j, 3]:
             best[j, 2] = k[i]
             best[j, 3] = s[i]
@@ -96,34 +93,35 @@ def _gather(x: Any, y: Any, k: Any, s: Any, velocity: Any, slot: Any, sums: Any,
 def _fit(px: int, py: int, g0x: float, g0y: float, delay: Any, arrival: Any, now: float) -> Any:
     """Return the slowness by the module's least squares around pixel (px, py)."""
     n = 0.0
-    so = np.zeros(3)
+    sx = 0.0
+    sy = 0.0
+    sa = 0.0
     sxx = 0.0
     sxy = 0.0
     syy = 0.0
     sxa = 0.0
     sya = 0.0
-    for j in range(SYNAPSES):
-        ox = j % SIDE - REACH
-        oy = j // SIDE - REACH
-        age = now - arrival[py + oy + REACH, px + ox + REACH]
-        if abs(age - delay[j]) > INLIER_TICKS:
-            continue
-        n += 1.0
-        so[0] += ox
-        so[1] += oy
-        so[2] += age
-        sxx += ox * ox
-        sxy += ox * oy
-        syy += oy * oy
-        sxa += ox * age
-        sya += oy * age
+    for oy in range(-REACH, REACH + 1):
+        for ox in range(-REACH, REACH + 1):
+            age = now - arrival[py + oy + REACH, px + ox + REACH]
+            if abs(age - delay[(oy + REACH) * SIDE + ox + REACH]) > INLIER_TICKS:
+                continue
+            n += 1.0
+            sx += ox
+            sy += oy
+            sa += age
+            sxx += ox * ox
+            sxy += ox * oy
+            syy += oy * oy
+            sxa += ox * age
+            sya += oy * age
     if n == 0.0:
         return g0x, g0y
-    a = sxx - so[0] * so[0] / n + PRIOR
-    b = sxy - so[0] * so[1] / n
-    d = syy - so[1] * so[1] / n + PRIOR
-    e = PRIOR * g0x - (sxa - so[0] * so[2] / n)
-    f = PRIOR * g0y - (sya - so[1] * so[2] / n)
+    a = sxx - sx * sx / n + PRIOR
+    b = sxy - sx * sy / n
+    d = syy - sy * sy / n + PRIOR
+    e = PRIOR * g0x - (sxa - sx * sa / n)
+    f = PRIOR * g0y - (sya - sy * sa / n)
     det = a * d - b * b
     return (d * e - b * f) / det, (a * f - b * e) / det
 
@@ -181,13 +179,14 @@ class Reader:
         speed = np.hypot(*network.velocity.T)
         self._slowest = float(speed.min()) / SPEED_SLACK
         self._fastest = float(speed.max()) * SPEED_SLACK
+        self._tuning = np.hstack([network.velocity, network.velocity / speed[:, None]])
 
     def read(self, spikes: Spikes, arrival: Floats, tick: int) -> Samples:
         """Return the samples of a tick; arrival as `Intake.arrival`."""
         net = self._network
         most = min(len(spikes), self._slot.size)
         sums, best = np.empty((most, 5)), np.empty((most, 4))
-        n = _gather(spikes.x, spikes.y, spikes.k, spikes.s, net.velocity, self._slot, sums, best)
+        n = _gather(spikes.x, spikes.y, spikes.k, spikes.s, self._tuning, self._slot, sums, best)
         out = np.empty((n, 5))
         # An input of this very tick has the age 0 on average: its arrival lies within the tick.
         kept = _read(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final, Literal, Self
 
@@ -63,6 +64,9 @@ class FlowSettings:
         readout: "fit": where a neuron fires, a plane is fitted to the arrival times at its synapses; "population": the
             neurons' velocities, weighted by the cubed potential.
         hold_ticks: samples this old still answer; the slowest edge takes 10 ticks to cross a kernel.
+        tile_inputs: where more inputs than this fall on 64 x 16 pixels of a network within 11 ticks, only a sample of the
+            spikes is read (`sampling`); in proportion more where a tick is longer than 10 ms, since work a second is
+            what counts. A disc 9 px across that crosses a tile makes about as many; inf reads all.
         limit_pixels: a tick of more inputs is a flash, and is counted and skipped.
 
     Raises:
@@ -75,6 +79,7 @@ class FlowSettings:
     noise_share: float = 0.001
     readout: Readout = "fit"
     hold_ticks: int = 6
+    tile_inputs: float = 64.0
     limit_pixels: int = 200_000
 
     def __post_init__(self) -> None:
@@ -90,6 +95,8 @@ class FlowSettings:
             raise ConfigError(f"readout must be fit or population, not {self.readout}")
         if not 1 <= self.hold_ticks <= 100:
             raise ConfigError(f"hold_ticks must be 1 to 100, not {self.hold_ticks}")
+        if not self.tile_inputs > 0:
+            raise ConfigError(f"tile_inputs must be above 0 (inf reads all), not {self.tile_inputs}")
         if self.limit_pixels < 1:
             raise ConfigError(f"limit_pixels must be at least 1, not {self.limit_pixels}")
 
@@ -107,5 +114,6 @@ class FlowSettings:
             noise_share=1.0,
             readout="population",
             hold_ticks=1,
+            tile_inputs=math.inf,
             limit_pixels=4_000_000,
         )

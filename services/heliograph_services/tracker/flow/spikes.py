@@ -41,12 +41,27 @@ class Spikes:
         """Return the same spikes, to keep."""
         return Spikes(self.x.copy(), self.y.copy(), self.k.copy(), self.s.copy())
 
+    def within(self, wanted: npt.NDArray[np.uint8] | None) -> Spikes:
+        """Return those that are asked for; see `Runtime.step`."""
+        if wanted is None:
+            return self
+        least = wanted[self.y, self.x >> 6]
+        mine = (least != 0) & (self.s >= least)
+        return Spikes(self.x[mine], self.y[mine], self.k[mine], self.s[mine])
+
 
 class Runtime(Protocol):
     """A network that runs."""
 
-    def step(self, x: npt.NDArray[Any], y: npt.NDArray[Any]) -> Spikes:
-        """Take the next tick's distinct active pixels, all on the image; return its spikes, for use until the next."""
+    def step(self, x: npt.NDArray[Any], y: npt.NDArray[Any], wanted: npt.NDArray[np.uint8] | None = None) -> Spikes:
+        """Take the next tick's distinct active pixels, all on the image; return its spikes, for use until the next.
+
+        Args:
+            x: (n,) columns.
+            y: (n,) rows.
+            wanted: (rows, words of 64 columns) the least potential of the spikes that are asked for there, 0 where none
+                is; all are asked for if None.
+        """
         ...
 
     def skip(self, ticks: int) -> list[Spikes]:

@@ -170,8 +170,8 @@ class TableRuntime:
         self._out = np.empty((3, SPIKES_AT_FIRST), np.int32)
         self._out_s = np.empty(SPIKES_AT_FIRST, np.float32)
 
-    def step(self, x: npt.NDArray[Any], y: npt.NDArray[Any]) -> Spikes:
-        """Take the next tick's distinct active pixels, all on the image; return its spikes, for use until the next."""
+    def step(self, x: npt.NDArray[Any], y: npt.NDArray[Any], wanted: npt.NDArray[np.uint8] | None = None) -> Spikes:
+        """Take the next tick's active pixels; return its spikes: see `Runtime`."""
         n, (width, height) = self._network, self._size
         self._now += 1
         x, y = x.astype(np.int64), y.astype(np.int64)
@@ -190,7 +190,7 @@ class TableRuntime:
             np.float32(n.l_tau), np.float32(n.v_th), n.h == "step_above", self._floor,
             self._s, self._s_at, self._lit, self._drive, out, out_s,
         )  # fmt: skip
-        return Spikes(out[0, :count], out[1, :count], out[2, :count], out_s[:count])
+        return Spikes(out[0, :count], out[1, :count], out[2, :count], out_s[:count]).within(wanted)
 
     def skip(self, ticks: int) -> list[Spikes]:
         """Pass so many ticks without input; return the spikes of the first that can have any."""

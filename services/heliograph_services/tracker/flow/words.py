@@ -173,9 +173,9 @@ def _candidates(seen: Words, row: int, word: int, at_least: int, shifted: Words,
 @kernel
 def _word_step(
     planes: Words, head: int, width: int, index: Any, level: Any, delays: Any, at_least: int, seen: Words,
-    shifted: Words, may: Words, place: Any, out: Ints,
+    shifted: Words, may: Words, place: Any, wanted: Any, out: Ints,
 ) -> int:  # fmt: skip
-    """Write rows (x, y, k, s) of this tick's spikes to out (4, capacity); return how many there are, written or not."""
+    """Write rows (x, y, k, s) of the wanted spikes to out (4, capacity); return how many there are, written or not."""
     height = planes.shape[1] - 2 * REACH
     words = planes.shape[2] - 2
     zero = np.uint64(0)
@@ -185,7 +185,9 @@ def _word_step(
     n = 0
     for row in range(height):
         for word in range(words):
-            if not _candidates(seen, row, word, at_least, shifted, all_, may):
+            # Counts end at 25, and their five bits at 31.
+            need = min(31, max(at_least, int(wanted[row, word])))
+            if wanted[row, word] == 0 or not _candidates(seen, row, word, need, shifted, all_, may):
                 continue
             _shift(planes, head, row, word, shifted)
             inside = ~zero
@@ -195,7 +197,7 @@ def _word_step(
                 if may[level[k]] & inside == zero:
                     continue
                 c = _count(shifted, index[k])
-                fire = _reached(c, at_least, inside)
+                fire = _reached(c, need, inside)
                 while fire != zero:
                     bit = place[((fire & (~fire + one)) * _DE_BRUIJN) >> np.uint64(58)]
                     fire &= fire - one
@@ -236,12 +238,13 @@ class WordRuntime:
         threshold = int(np.ceil(network.v_th))
         self._at_least = threshold + (network.h == "step_above" and threshold == network.v_th)
         self._width = width
+        self._all = np.ones((height, self._planes.shape[2] - 2), np.uint8)
         self._head = 0
         self._silent = TICKS
         self._out = np.empty((4, SPIKES_AT_FIRST), np.int32)
 
-    def step(self, x: npt.NDArray[Any], y: npt.NDArray[Any]) -> Spikes:
-        """Take the next tick's distinct active pixels, all on the image; return its spikes, for use until the next."""
+    def step(self, x: npt.NDArray[Any], y: npt.NDArray[Any], wanted: npt.NDArray[np.uint8] | None = None) -> Spikes:
+        """Take the next tick's active pixels; return its spikes: see `Runtime`."""
         self._head = (self._head + 1) % TICKS
         self._planes[self._head] = 0
         self._silent = 0 if len(x) else self._silent + 1
@@ -252,7 +255,7 @@ class WordRuntime:
         while True:
             n = _word_step(
                 self._planes, self._head, self._width, self._index, self._level, self._delays, self._at_least,
-                self._seen, self._shifted, self._may, _BIT_PLACE, self._out,
+                self._seen, self._shifted, self._may, _BIT_PLACE, self._all if wanted is None else wanted, self._out,
             )  # fmt: skip
             if n <= self._out.shape[1]:
                 break
