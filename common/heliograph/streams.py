@@ -39,6 +39,8 @@ EVENTS_LIMIT: Final = 4_000_000
 TICKS_LIMIT: Final = 65_535
 # An entry is one step, and 255 pixels more that are skipped another: ten times what a burst needs.
 STEPS_LIMIT: Final = 10 * EVENTS_LIMIT
+# What an `Onsets` message takes on a TCP link beside its columns: envelope, head of the body, key and framing of Zenoh.
+OVERHEAD_BYTES: Final = 330
 # Of images: the fastest level.
 ZLIB_LEVEL: Final = 1
 
@@ -186,6 +188,7 @@ class Onsets(Message, frozen=True, kw_only=True):
         y_px: (n,) uint16; within a tick, entries rise by (y, x).
         on_count: (n,) uint8, events that became brighter; on the wire 15 means 15 or more.
         off_count: (n,) uint8, events that became darker.
+        zipped: number of steps and packed columns, where they are known already; see `packed`.
     """
 
     SCHEMA: ClassVar[str] = "onsets"
@@ -204,6 +207,7 @@ class Onsets(Message, frozen=True, kw_only=True):
     on_count: Counts
     off_count: Counts
     end: bool = False
+    zipped: tuple[int, bytes] | None = None
 
     @property
     def ticks(self) -> int:
@@ -217,11 +221,18 @@ class Onsets(Message, frozen=True, kw_only=True):
             ValueError: a tick has more than 65535 entries, or they do not rise.
         """
         head = {name: getattr(self, name) for name in _Window.__struct_fields__}
-        per_tick = np.bincount(self.tick, minlength=self.ticks)
-        row = -(-self.width // self.pool_px)
-        steps, columns = pack_columns(per_tick, self.x_px, self.y_px, self.on_count, self.off_count, row)
+        steps, columns = self.zipped or self._zip()
         n = len(self.tick)
         return head | {"tick_us": self.tick_us, "pool_px": self.pool_px, "n": n, "steps": steps, "columns": columns}
+
+    def packed(self) -> Onsets:
+        """Return this record with its columns packed, which a sender does once; raises as `to_body`."""
+        return msgspec.structs.replace(self, zipped=self._zip())
+
+    def _zip(self) -> tuple[int, bytes]:
+        per_tick = np.bincount(self.tick, minlength=self.ticks)
+        row = -(-self.width // self.pool_px)
+        return pack_columns(per_tick, self.x_px, self.y_px, self.on_count, self.off_count, row)
 
     @classmethod
     def from_body(cls, body: dict[str, Any]) -> Self:

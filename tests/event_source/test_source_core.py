@@ -117,7 +117,43 @@ def test_a_window_before_the_last_is_refused_and_a_new_stream_is_not() -> None:
     assert [(m.SCHEMA, m.time_us) for m in again] == [("events", -2_000)]
     # A jump of thirty years leads to records that pass, of four ticks and no more.
     jumped = core.feed(Window(10**15, 10**15 + 20_000, EventBatch.empty(), "c"))
-    assert [type(m).from_body(m.to_body()).time_us for m in jumped] == [10**15 + 20_000] * 2
+    times = [type(m).from_body(m.to_body()).time_us - 10**15 for m in jumped]
+    assert times == [20_000, 10_000, 20_000]
+
+
+@pytest.mark.parametrize("window_us", [1_000, 7_000, 40_000, 200_000])
+def test_what_is_thinned_does_not_depend_on_the_windows(window_us: int) -> None:
+    rng = np.random.default_rng(3)
+    n, until_us = 60_000, 200_000
+    x, y = (rng.integers(0, 8, n) + 40 * rng.integers(0, 5, n) for _ in range(2))
+    batch = EventBatch(
+        np.sort(rng.integers(0, until_us, n)), x.astype(np.uint16), y.astype(np.uint16), rng.random(n) < 0.5
+    )
+
+    def bodies(length_us: int) -> tuple[list[bytes], dict[str, int]]:
+        core = SourceCore(EventSourceConfig(onsets_bit_rate_max=1e6), CameraInfo(240, 240))
+        out: list[bytes] = []
+        for t0_us in range(0, until_us, length_us):
+            t1_us = min(t0_us + length_us, until_us)
+            part = batch.part(*np.searchsorted(batch.t_us, [t0_us, t1_us]).tolist())
+            messages = core.feed(Window(t0_us, t1_us, part, "s", end=t1_us == until_us))
+            out += [pack_body(m) for m in messages if isinstance(m, Onsets)]
+        return out, {name: count for name, count in core.counters.items() if name.startswith("onset")}
+
+    found, counters = bodies(window_us)
+    assert (found, counters) == bodies(10_000)
+    assert len(found) == 20
+    assert counters["onsets_thinned_lights"] + counters["onsets_thinned_edges"] > 0
+    assert counters["onsets_bytes"] <= 1e6 / 8 * 0.2 * 1.1
+
+
+def test_the_open_gate_thins_nothing() -> None:
+    rng = np.random.default_rng(4)
+    place = rng.permutation(64 * 64).astype(np.uint16)
+    batch = EventBatch(np.zeros(len(place), np.int64), place % 64, place // 64, rng.random(len(place)) < 0.5)
+    core = SourceCore(EventSourceConfig(gate="open", onsets_bit_rate_max=1e6), CameraInfo(64, 64))
+    core.feed(Window(0, 10_000, batch, "s", end=True))
+    assert core.counters["onsets"] == 64 * 64
 
 
 def test_a_stream_is_named_by_its_size_and_first_events_alone() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import ceil
 from typing import Annotated, Literal
 
 import msgspec
@@ -9,6 +10,8 @@ from msgspec import Meta
 
 from heliograph.errors import ConfigError
 from heliograph.messages import SENSOR_LIMIT_PX, Name
+from heliograph.streams import OVERHEAD_BYTES
+from heliograph.units import US_PER_S
 
 Format = Literal["auto", "aedat4", "evt2", "evt3", "dat", "es", "csv", "npz", "mat"]
 
@@ -66,16 +69,27 @@ class EventSourceConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     # A target at 700 px/s moves 3.5 px in 5 ms, less than a beacon's diameter, so its blob stays round; at 100 ms it
     # is a streak that no shape filter passes.
     tick_us: Annotated[int, Meta(ge=100, le=100_000, description="length of an onset tick, us")] = 5_000
-    # Each message costs 0.4 kB of envelope and keys on a radio link: 20 ms make a fifth of what 5 ms cost, and the
-    # tracker publishes every 100 ms.
-    onsets_us: Annotated[int, Meta(ge=100, le=1_000_000, description="time that an onsets message covers, us")] = 20_000
+    # Each message costs 0.3 kB beside its entries, so 10 ms take an eighth of a link of 2 Mbit/s and 5 ms a quarter; an
+    # onset waits for half of it on the average, and for all of it at worst, before a tracker hears of it.
+    onsets_us: Annotated[int, Meta(ge=100, le=1_000_000, description="time that an onsets message covers, us")] = 10_000
     pool_px: Annotated[int, Meta(ge=1, le=64, description="side of the square of pixels that makes one onset")] = 1
     gate: Annotated[
         Literal["open", "active"], Meta(description="open: every active pixel and tick; active: none that stand alone")
     ] = "active"
-    # Noise at 0.1 events/(px s) has another event in the 3x3 px of the same 5 ms in 0.4 % of all cases; a beacon of
-    # two pixels always has.
-    min_events: Annotated[int, Meta(ge=1, le=255, description="events in 3x3 px and a tick for the active gate")] = 2
+    # Noise at 0.1 events/(px s) has another in the 3x3 px of two ticks in 1 % of all cases; a beacon of two pixels
+    # always has.
+    min_events: Annotated[
+        int, Meta(ge=1, le=255, description="events in 3x3 px and two ticks for the active gate, at least")
+    ] = 2
+    # Under 1 Mev/s of noise and texture: 5 to 10 kB/s of the 250 that the link may carry.
+    onsets_noise_hz: Annotated[
+        float, Meta(ge=0.0, le=1e9, description="noise a second that may pass the active gate; 0: min_events alone")
+    ] = 2_000.0
+    # The design's radio link.
+    onsets_bit_rate_max: Annotated[
+        float,
+        Meta(ge=0.0, le=1e12, description="bit/s of the onsets with all that Zenoh adds; beyond, thinned; 0: no limit"),
+    ] = 2_000_000.0
 
     wait_for: Annotated[tuple[Name, ...], Meta(description="services that a lockstep source waits for")] = (
         "tracker",
@@ -91,3 +105,9 @@ class EventSourceConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
             raise ConfigError(f"width and height must be given together, not {self.width} x {self.height}")
         if self.onsets_us % self.tick_us:
             raise ConfigError(f"onsets_us must be a multiple of tick_us = {self.tick_us}, not {self.onsets_us}")
+        least = ceil(OVERHEAD_BYTES * 8 * 2 * US_PER_S / self.onsets_us)
+        if 0 < self.onsets_bit_rate_max < least:
+            raise ConfigError(
+                f"onsets_bit_rate_max must be 0 or at least {least}, twice what empty messages of"
+                f" onsets_us = {self.onsets_us} take, not {self.onsets_bit_rate_max:g}"
+            )

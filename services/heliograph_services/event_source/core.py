@@ -1,9 +1,10 @@
 """The pure half of the source: from a camera's windows to the records on the bus.
 
 For each window [t0, t1), in this order: its events, cut at `max_events` (only the last part has the window's end as
-its watermark; the watermark of the others is the time of the next part's first event); once in onsets_us the onsets of
-the ticks that became complete, both anchored at their multiples on the camera's clock; the truth and a view, where the
-camera has them. A window without events still yields its empty records: a lone beacon never waits for noise.
+its watermark; the watermark of the others is the time of the next part's first event); the onsets of each onsets_us
+that became complete, a message each, anchored at its multiples on the camera's clock, and thinned to what the link may
+carry (`heliograph.onset_budget`; never with the gate open); the truth and a view, where the camera has them. A window
+without events still yields its empty records: a lone beacon never waits for noise.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from heliograph.errors import Refusal, Refusals
 from heliograph.events import EventBatch, concatenate
 from heliograph.messages import Message
+from heliograph.onset_budget import OnsetBudget
 from heliograph.onsets import OnsetCounter, OnsetSettings
 from heliograph.streams import Events, Onsets
 from heliograph.units import US_PER_S
@@ -42,9 +44,12 @@ class SourceCore:
     def __init__(self, config: EventSourceConfig, info: CameraInfo) -> None:
         self.refusals = Refusals()
         self.counters: dict[str, int] = dict.fromkeys(
-            ("events", "windows", "onsets", "onsets_gated", "onset_ticks_flooded", "streams"), 0
-        )
-        self.gauges: dict[str, float] = {"events_hz": 0.0, "onsets_hz": 0.0}
+            (
+                "events", "windows", "onsets", "onsets_gated", "onsets_thinned_lights", "onsets_thinned_edges",
+                "onsets_bytes", "onset_ticks_flooded", "streams",
+            ), 0,
+        )  # fmt: skip
+        self.gauges: dict[str, float] = dict.fromkeys(("events_hz", "onsets_hz", "noise_hz", "onset_threshold"), 0.0)
         self._config = config
         self._info = info
         self._counter = OnsetCounter(
@@ -55,8 +60,10 @@ class SourceCore:
                 pool_px=config.pool_px,
                 gate=config.gate,
                 min_events=config.min_events,
+                noise_hz=config.onsets_noise_hz,
             )
         )
+        self._budget = OnsetBudget(0.0 if config.gate == "open" else config.onsets_bit_rate_max, config.onsets_us)
         self._stream: str | None = None
         self._t1_us = 0
         self._onsets_t1_us = 0  # the ticks before this time are out
@@ -69,6 +76,8 @@ class SourceCore:
         if window.stream != self._stream:
             self._stream = window.stream
             self._pending.clear()
+            self._counter.reset()
+            self._budget.reset()
             self._onsets_t1_us = floor_to(window.t0_us, self._config.tick_us)
             self._rate_from = (window.t0_us, self.counters["events"], self.counters["onsets"])
             self.counters["streams"] += 1
@@ -79,9 +88,7 @@ class SourceCore:
         self.counters["windows"] += 1
         self.counters["events"] += len(window.batch)
         messages: list[Message] = [*self._events(window)]
-        onsets = self._onsets(window)
-        if onsets is not None:
-            messages.append(onsets)
+        messages += self._onsets(window)
         if window.truth is not None:
             messages.append(window.truth)
         if window.image is not None:
@@ -114,43 +121,61 @@ class SourceCore:
             t0_us = t1_us
         return parts
 
-    def _onsets(self, window: Window) -> Onsets | None:
-        """Return the ticks since the last, once they fill a message; the end of the stream completes its last tick."""
-        tick_us = self._config.tick_us
+    def _onsets(self, window: Window) -> list[Onsets]:
+        """Return the messages that this window completes; the end of the stream completes its last tick."""
+        tick_us, message_us = self._config.tick_us, self._config.onsets_us
         t0_us = self._onsets_t1_us
-        if window.end:
-            t1_us = floor_to(window.t1_us + tick_us - 1, tick_us)
-        else:
-            t1_us = max(t0_us, floor_to(window.t1_us, self._config.onsets_us))
+        ends = list(range(floor_to(t0_us, message_us) + message_us, window.t1_us + 1, message_us))
+        if window.end and (not ends or ends[-1] < window.t1_us):
+            ends.append(max(t0_us, floor_to(window.t1_us + tick_us - 1, tick_us)))
         self._pending.append(window.batch)
-        if t1_us == t0_us and not window.end:
-            return None
+        if not ends:
+            return []
         batch = concatenate(self._pending)
-        stop = int(np.searchsorted(batch.t_us, t1_us))
-        self._pending = [batch.part(stop, len(batch))] if stop < len(batch) else []
-        self._onsets_t1_us = t1_us
-        columns = self._counter.count(batch.part(0, stop), t0_us, t1_us)
-        self.counters["onsets"] += len(columns.tick)
-        self.counters["onsets_gated"] += columns.gated
-        self.counters["onset_ticks_flooded"] += columns.flooded
-        if columns.off_sensor:
-            self.refusals[Refusal.OFF_SENSOR] += columns.off_sensor
-        return Onsets(
+        stops = np.searchsorted(batch.t_us, ends).tolist()
+        self._pending = [batch.part(stops[-1], len(batch))] if stops[-1] < len(batch) else []
+        messages = []
+        for start, stop, t1_us in zip([0, *stops], stops, ends, strict=False):
+            last = window.end and t1_us == ends[-1]
+            messages.append(self._message(batch.part(start, stop), window.stream, t0_us, t1_us, last))
+            t0_us = t1_us
+        self._onsets_t1_us = t0_us
+        return messages
+
+    def _message(self, batch: EventBatch, stream: str, t0_us: int, t1_us: int, end: bool) -> Onsets:
+        """Return the onsets of [t0_us, t1_us): gated, thinned, counted."""
+        columns = self._counter.count(batch, t0_us, t1_us)
+        kept = self._budget.choose(columns, t0_us)
+        keep = slice(None) if kept.keep.all() else kept.keep
+        onsets = Onsets(
             camera=self._config.camera,
-            stream=window.stream,
+            stream=stream,
             width=self._info.width,
             height=self._info.height,
             t0_us=t0_us,
             t1_us=t1_us,
-            tick_us=tick_us,
+            tick_us=self._config.tick_us,
             pool_px=self._config.pool_px,
-            tick=columns.tick,
-            x_px=columns.x_px,
-            y_px=columns.y_px,
-            on_count=columns.on_count,
-            off_count=columns.off_count,
-            end=window.end,
+            tick=columns.tick[keep],
+            x_px=columns.x_px[keep],
+            y_px=columns.y_px[keep],
+            on_count=columns.on_count[keep],
+            off_count=columns.off_count[keep],
+            end=end,
         )
+        if self._budget.limited:
+            onsets = onsets.packed()
+            size = len(onsets.zipped[1]) if onsets.zipped else 0
+            self._budget.spent(len(onsets.tick), size)
+            self.counters["onsets_bytes"] += size
+        self.counters["onsets"] += len(onsets.tick)
+        self.counters["onsets_gated"] += columns.gated
+        self.counters["onsets_thinned_lights"] += kept.lights_thinned
+        self.counters["onsets_thinned_edges"] += kept.edges_thinned
+        self.counters["onset_ticks_flooded"] += columns.flooded
+        if columns.off_sensor:
+            self.refusals[Refusal.OFF_SENSOR] += columns.off_sensor
+        return onsets
 
     def _read_gauges(self) -> None:
         """Take the rates of the last second of the camera's time."""
@@ -159,4 +184,6 @@ class SourceCore:
         if passed_us >= US_PER_S:
             self.gauges["events_hz"] = (self.counters["events"] - events) * US_PER_S / passed_us
             self.gauges["onsets_hz"] = (self.counters["onsets"] - onsets) * US_PER_S / passed_us
+            self.gauges["noise_hz"] = self._counter.noise_hz
+            self.gauges["onset_threshold"] = float(self._counter.threshold)
             self._rate_from = (self._t1_us, self.counters["events"], self.counters["onsets"])
