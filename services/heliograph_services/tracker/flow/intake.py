@@ -45,7 +45,7 @@ def _collect(
 
 
 @kernel
-def _around(counts: Any, cell: int, stride: int) -> int:
+def _around(counts: Any, cell: int, stride: int) -> Any:
     """Return the events of the 3 x 3 around a cell."""
     above = cell - stride
     below = cell + stride

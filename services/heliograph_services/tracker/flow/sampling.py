@@ -6,7 +6,7 @@ forgets 1/11 a tick)::
 
     m = min(ceil(n / limit), EVERY_MOST)
     m <= 1    all spikes are read
-    m > 1     those of a potential of at least SURE v_th, in the rows with (row + turn_t) mod m = 0 in that tile and tick
+    m > 1     those of a potential of at least SURE v_th, in the rows with (row + turn_t) mod m = 0
 
 turn_t jumps about, since rows taken in order would run along with some fronts. Every input enters the network; without
 memory an output is not less exact because another is not computed. So a beacon on dark ground is read whole, whatever
