@@ -48,10 +48,10 @@ PERIOD_US = 20_000
 GATE_PX = 5.0
 KINDS = {
     # Tilting by 28.6 degrees/s through f = 400 px moves the image by 200 px/s.
-    "pan": 'points = [[0, 0, -70, 0], [1.4, 0, -110, 0], [2.8, 0, -70, 0]]\nsmooth_s = 0.2',
+    "pan": "points = [[0, 0, -70, 0], [1.4, 0, -110, 0], [2.8, 0, -70, 0]]\nsmooth_s = 0.2",
     "yaw": "points = [[0, -23, -90, 0], [1.6, 23, -90, 0], [3.2, -23, -90, 0]]\nsmooth_s = 0.2",
     "constant": "",
-    "moving": 'points = [[0, 0, -70, 0], [1.4, 0, -110, 0], [2.8, 0, -70, 0]]\nsmooth_s = 0.2',
+    "moving": "points = [[0, 0, -70, 0], [1.4, 0, -110, 0], [2.8, 0, -70, 0]]\nsmooth_s = 0.2",
 }
 ARMS: dict[str, dict[str, Any]] = {
     "centroid": {"prediction": "centroid"},
@@ -120,14 +120,20 @@ def tracked(kind: str, seed: int, seconds: float) -> tuple[TruePaths, npt.NDArra
         path, dark = scene(kind, seed, seconds, Path(name))
         stream = open_stream(
             EventSourceConfig(
-                backend="simulated", scenario=str(path), seed=seed, duration_s=seconds, window_us=10_000, fidelity="live"
+                backend="simulated",
+                scenario=str(path),
+                seed=seed,
+                duration_s=seconds,
+                window_us=10_000,
+                fidelity="live",
             ),
             ONE_PROCESS,
         )
         decoder = DecoderConfig(tracker_period_us=PERIOD_US, protocol="seed11", bit_rate=1e6 / BIT_US)
         arms = {
             arm: Pipeline(
-                make_core(TrackerConfig(period_us=PERIOD_US, **settings), ONE_PROCESS), DECODER.make(decoder, ONE_PROCESS)
+                make_core(TrackerConfig(period_us=PERIOD_US, **settings), ONE_PROCESS),
+                DECODER.make(decoder, ONE_PROCESS),
             )
             for arm, settings in ARMS.items()
         }
@@ -157,7 +163,7 @@ def _nearest(message: Tracks, x: float, y: float) -> tuple[str, float, str]:
 
 
 def scored(paths: TruePaths, dark: npt.NDArray[np.int64], tracks: list[Tracks], until_us: int) -> dict[Any, Any]:
-    """Return, by beacon and dark time, how far off the track was at its end (inf: ended) and whether it was it again."""
+    """Return, by beacon and dark time, how far off the track was at its end (inf: ended), and if it was it again."""
     out: dict[Any, Any] = {}
     for k in range(BEACONS):
         for begin in np.unique(dark[k]).tolist():

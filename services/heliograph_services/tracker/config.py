@@ -51,7 +51,7 @@ class TrackerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     # -- clustering --
     # A spot at 711 px/s keeps a roundness of .93 in 5 ms and has .17 in the paper's 100 ms, which can be asked for.
     cluster_window_us: Annotated[
-        int, Meta(ge=100, le=100_000, description="window of clustering; cut to whole ticks of the onsets, at least one")
+        int, Meta(ge=100, le=100_000, description="window of clustering; cut to whole ticks of onsets, at least one")
     ] = 5_000
     # Reaches over one dead or gated pixel; the disc has 13 pixels, so that 1 Mev/s of noise on 640x480 puts .2 events
     # into it in 5 ms, against the 5 that make a core.
