@@ -203,12 +203,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--summary", action="store_true")
     args = parser.parse_args()
-    commit = subprocess.run(
-        ["git", "-C", str(ROOT), "rev-parse", "HEAD:services", "HEAD:common"],
-        capture_output=True,
-        text=True,
-        check=True,
-    ).stdout.split()
+    asked = ["git", "-C", str(ROOT), "rev-parse", "HEAD", "HEAD:services", "HEAD:common"]
+    at, *code = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.split()
     stored = json.loads(args.o.read_text()) if args.o.exists() else {}
     rows = stored.get("rows", []) if args.summary or stored.get("code") == code else []
     if not args.summary:
