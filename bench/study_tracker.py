@@ -34,10 +34,9 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any, Final
 
-import tracker_summary
-
 import heliograph
 import heliograph_services
+from heliograph_services.cli.studies import tracker_tables
 from heliograph_services.cli.studies.crowds import KINDS, RATES
 from heliograph_services.cli.studies.tracker_rows import RUNS
 
@@ -161,7 +160,7 @@ def main() -> None:
         if not arguments.summary:
             execute(study, runs, path, code, arguments.jobs)
         rows = stored(path, None if arguments.summary else code)
-        print("\n".join(tracker_summary.lines(study, rows)), flush=True)
+        print("\n".join(tracker_tables.lines(study, rows)), flush=True)
 
 
 if __name__ == "__main__":

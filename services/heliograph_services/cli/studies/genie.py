@@ -1,13 +1,19 @@
 """The genie: the same receivers with the true paths. What it reads is what the light allows: the ceiling of a tracker.
 
-It knows of each beacon, at every event's own time: where its image's centre is, how far from it its edges make events
-(`paths.TruePaths`), and whether anything hides it; and beforehand its protocol, options and true bit rate (the nominal
-one with its clock's offset). It does not know a bit, an edge or a phase: clock recovery, step response and frames are
-the receivers' own work. An event goes to the nearest visible beacon whose reach it is within, and to no other. Nothing
-is acquired, predicted, centred, contested or lost; a place published with a frame is the true one.
+It knows of each beacon, at every event's own time: where its image's centre is, how large it is (`paths.TruePaths`),
+and whether anything hides it; and beforehand its protocol, options and true bit rate (the nominal one with its clock's
+offset). It does not know a bit, an edge or a phase: clock recovery, step response and frames are the receivers' own
+work. It listens to the image's *core*, half a pixel beyond its half width at half maximum: the pixels farther out see
+edges of little contrast, late and smeared, and receivers read less with them (a scanned sensor at 5 kbit/s, 20 slow
+beacons: .71 with all that a beacon's edges reach, 1.00 with its core). An event goes to the nearest visible beacon
+whose core it lies in, and to no other. Nothing is acquired, predicted, centred, contested or lost; a place published
+with a frame is the true one.
+
+It is the ceiling of the path, not of the ear: where receivers hardly lock (2 kbit/s behind a scan of 199 us) another
+choice of pixels may read more.
 
 Between the genie and the whole system stands the decoder that is *told* the truth: `ToldTracker` publishes Tracks with
-the true places, velocities and reaches once a period, and the decoder extrapolates and centres its regions as always.
+the true places, velocities and sizes once a period, and the decoder extrapolates and centres its regions as always.
 What that loses beside the genie the regions lose; what the system loses beside that, the tracker.
 """
 
@@ -25,13 +31,14 @@ from heliograph.link.contract import LinkFrame, Receiver
 from heliograph.link.modulations import modulation
 from heliograph.messages import Frames, Message, Tracks
 from heliograph.streams import Events, Onsets
-from heliograph_services.cli.studies.paths import Floats, TruePaths
+from heliograph_services.cli.studies.paths import MARGIN_PX, Floats, TruePaths
 from heliograph_services.event_source.simulation.contract import NODE_US
 from heliograph_services.event_source.simulation.world.spec import BeaconSpec
 
-# What the decoder's default makes of a track's radius; the told radius is such that a region is as large as the reach.
-_SCALE: Final = 1.5
-_MARGIN_PX: Final = 2.5
+# Beyond the half width at half maximum; half a pixel is a pixel's own extent.
+CORE_PX: Final = 0.5
+# A track's radius covers nine tenths of its target's pixels (heliograph.messages.Tracks): so much of a disc's own.
+_COVERS: Final = 0.9**0.5
 
 
 class Genie:
@@ -50,6 +57,7 @@ class Genie:
         self.counters: dict[str, int] = {"events": 0, "events_heard": 0, "frames": 0}
         self.gauges: dict[str, float] = {}
         self._paths = paths
+        self._core_px = np.where(paths.reach_px > 0.0, np.minimum(paths.reach_px, paths.radius_px + CORE_PX), 0.0)
         self._receivers = [receiver_of(spec, receiver) for spec in paths.beacons]
 
     def feed(self, message: Message) -> list[Message]:
@@ -57,7 +65,7 @@ class Genie:
         if not isinstance(message, Events):
             return []
         batch = message.batch
-        whose = hearer(self._paths, batch)
+        whose = hearer(self._paths, self._core_px, batch)
         rows: list[tuple[int, int, LinkFrame]] = []
         for i, receiver in enumerate(self._receivers):
             mine = whose == i
@@ -113,10 +121,10 @@ def receiver_of(spec: BeaconSpec, name: str = "default") -> Receiver:
         return kind.receiver(rate)
 
 
-def hearer(paths: TruePaths, batch: EventBatch) -> npt.NDArray[np.int64]:
-    """Return (m,) int64: the nearest visible beacon whose reach holds each of m events; -1 for none."""
+def hearer(paths: TruePaths, ear_px: Floats, batch: EventBatch) -> npt.NDArray[np.int64]:
+    """Return (m,) int64: the nearest visible beacon within whose (k, n) ear each of m events lies; -1 for none."""
     p = paths
-    return _nearest(batch.t_us, batch.x_px, batch.y_px, p.x_px, p.y_px, p.reach_px, p.visible)
+    return _nearest(batch.t_us, batch.x_px, batch.y_px, p.x_px, p.y_px, ear_px, p.visible)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -186,6 +194,7 @@ class ToldTracker:
         told = np.flatnonzero(paths.in_view[:, node] & (paths.reach_px[:, node] > 0.0))
         self._born_us[told] = np.where(self._born_us[told] < 0, t_us, self._born_us[told])
         n = len(told)
+        size_px = np.maximum(paths.reach_px[told, node] - MARGIN_PX, 0.5)
         columns: dict[str, Any] = {
             "track": [paths.beacons[i].name for i in told],
             "born_us": self._born_us[told].tolist(),
@@ -194,8 +203,8 @@ class ToldTracker:
             "y_px": y_px[told, 0].tolist(),
             "vx_px_s": vx[told, 0].tolist(),
             "vy_px_s": vy[told, 0].tolist(),
-            "radius_px": np.maximum((paths.reach_px[told, node] - _MARGIN_PX) / _SCALE, 0.5).tolist(),
-            "size_px": (np.pi * paths.reach_px[told, node] ** 2).tolist(),
+            "radius_px": (_COVERS * size_px).tolist(),
+            "size_px": (np.pi * size_px**2).tolist(),
             "polarity": [0.0] * n,
             "status": ["valid"] * n,
         }

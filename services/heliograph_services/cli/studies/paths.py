@@ -31,7 +31,7 @@ Flags = npt.NDArray[np.bool_]
 # Nodes asked of the world at a time: 2 s of 100 beacons are 8 columns of 1.6 MB.
 _BLOCK: Final = 2000
 # Events lag behind the light: a scan of 200 us at 2,000 px/s is 0.4 px; half a pixel is the pixel's own extent.
-_MARGIN_PX: Final = 1.0
+MARGIN_PX: Final = 1.0
 # Of a camera that compares images: the mean grey of its surroundings (its preset's background_grey).
 _GREY: Final = 100.0
 
@@ -174,7 +174,7 @@ def _reach(scene: SceneStream, x_px: Floats, y_px: Floats) -> Floats:
         ratio = np.maximum(flux / (2.0 * np.pi * sigma**2 * step), 1.0)
         # Of several LEDs the one that is farthest from their common centre.
         away = np.hypot(where.x_px[mine] - x_px[of, nodes], where.y_px[mine] - y_px[of, nodes])
-        span = np.where(flux > 0.0, sigma * np.sqrt(2.0 * np.log(ratio)) + away + _MARGIN_PX, 0.0)
+        span = np.where(flux > 0.0, sigma * np.sqrt(2.0 * np.log(ratio)) + away + MARGIN_PX, 0.0)
         np.maximum.at(reach[:, nodes], of, span)
     return reach
 
