@@ -123,6 +123,11 @@ def outcome(each: Crossing, **settings: object) -> str:
                     identity=[None] * len(words),
                 )
             )
+    return verdict(each, published)
+
+
+def verdict(each: Crossing, published: list[Tracks]) -> str:
+    """Return what became of the names, see `outcome`."""
     apart = [m for m in published if abs(m.as_of_us / 1e6 - each.half_s) > each.overlap_s / 2 + 0.05]
     before = [m for m in apart if m.as_of_us / 1e6 < each.half_s]
     was = names(each.scene, before[-1]) if before else {}

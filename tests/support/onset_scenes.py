@@ -98,7 +98,7 @@ class Scene:
         steps = np.arange(k * self.tick_us, (k + 1) * self.tick_us, self.step_us, dtype=np.int64)
         for d, disc in enumerate(self.discs):
             for t_us, lit in zip(steps.tolist(), disc.lit(steps).tolist(), strict=True):
-                bright = self._cover(disc, t_us * US) if lit else np.empty(0, np.int64)
+                bright = self.cover(disc, t_us * US) if lit else np.empty(0, np.int64)
                 on.append(np.setdiff1d(bright, before[d], assume_unique=True))
                 off.append(np.setdiff1d(before[d], bright, assume_unique=True))
                 before[d] = bright
@@ -113,7 +113,8 @@ class Scene:
             counts.append(np.concatenate([pixel, again, stray]))
         return self._pooled(counts[0], counts[1])
 
-    def _cover(self, disc: Disc, t_s: float) -> npt.NDArray[np.int64]:
+    def cover(self, disc: Disc, t_s: float) -> npt.NDArray[np.int64]:
+        """Return the pixels, y * width + x, that a disc covers at a time."""
         cx, cy = disc.path(t_s)
         r = disc.radius_px
         y, x = np.mgrid[int(cy - r) - 1 : int(cy + r) + 3, int(cx - r) - 1 : int(cx + r) + 3]

@@ -104,10 +104,10 @@ def see(table: TrackTable, filters: Filters, seen: Sighting, targets: Targets, e
     """
     rows, k = seen.rows, len(seen.rows)
     chosen = seen.used[:k]
-    weight = targets.pixels.astype(np.float64)
-    total = seen.sum(weight)
-    z = np.stack([seen.sum(weight * at) / total for at in (targets.x_px, targets.y_px)], axis=1)
+    total = seen.sum(targets.pixels)
     on, off = seen.sum(targets.on), seen.sum(targets.off)
+    events = (targets.on + targets.off).astype(np.float64)
+    z = np.stack([seen.sum(events * at) / (on + off) for at in (targets.x_px, targets.y_px)], axis=1)
     seen_px = total * rule.pool_px**2
     share = np.minimum(1.0, seen_px / table.size_px[rows])
     trust = np.where(seen.sum(targets.piece) > 0, 0.0, share)
