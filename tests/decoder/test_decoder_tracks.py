@@ -342,3 +342,113 @@ def test_a_status_says_by_a_token_who_a_track_is_held_for() -> None:
 def test_text_has_no_token() -> None:
     plan = LinkPlan(DecoderConfig(protocol="uart"))
     assert plan.token(0, None) is None
+
+
+def test_names_that_the_tracker_exchanges_take_receiver_identity_and_region_along() -> None:
+    discs = [Disc(5, straight(100, 100, 60, 0)), Disc(2, straight(420, 100, -60, 3))]
+    batch = scene(discs, 0, 1_200_000, WIDTH, HEIGHT)
+    before = [(t + 20_000, tracks(t, [("a-0", discs[0], 0), ("a-1", discs[1], 0)])) for t in range(0, 600_000, 100_000)]
+    after = [
+        (t + 20_000, tracks(t, [("a-1", discs[0], 0), ("a-0", discs[1], 0)]))
+        for t in range(600_000, 1_200_000, 100_000)
+    ]
+    decoder = core()
+    out = run(decoder, batch, [*before, *after], 1_200_000)
+    changes = [(one.track, one.beacon, one.change) for one in states(out, "accepted", "changed", "lost")]
+    assert sorted(changes[:2]) == [("a-0", "crane", "accepted"), ("a-1", "lift", "accepted")]
+    assert sorted(changes[2:]) == [("a-0", "lift", "changed"), ("a-1", "crane", "changed")]
+    tokens = {one.as_of_us: dict(zip(one.track, one.identity, strict=True)) for one in out if isinstance(one, Status)}
+    assert tokens[1_200_000] == {"a-0": "pulse/2", "a-1": "pulse/5"}
+    # No frame is lost to it, and none comes twice.
+    ends = [(t, p) for one in out if isinstance(one, Frames) for t, p in zip(one.t_us, one.payload, strict=True)]
+    assert len(ends) == len(set(ends)) == 2 * 1_200_000 // FRAME_US
+    assert decoder.counters["tracks_begun"] == 2
+
+
+def test_a_name_taken_over_from_a_coasting_track_goes_on_without_a_hole() -> None:
+    # Hidden for half a second, the beacon comes back elsewhere: first as a-1, which the tracker then calls a-0 again.
+    first = Disc(5, straight(100, 100, 100, 0), lit_us=(0, 500_000))
+    second = Disc(5, straight(300, 200, 60, 0), lit_us=(1_000_000, 9_000_000))
+    batch = scene([first, second], 0, 2_000_000, WIDTH, HEIGHT)
+    told = [
+        *((t + 20_000, tracks(t, [("a-0", first, 0)])) for t in range(0, 1_100_000, 100_000)),
+        *(
+            (t + 20_000, tracks(t, [("a-0", first, 0), ("a-1", second, 1_000_000)]))
+            for t in range(1_100_000, 1_400_000, 100_000)
+        ),
+        *((t + 20_000, tracks(t, [("a-0", second, 0)])) for t in range(1_400_000, 2_000_000, 100_000)),
+    ]
+    out = run(core(), batch, told, 2_000_000)
+    changes = [(one.track, one.change) for one in states(out, "accepted", "changed", "lost")]
+    # a-0 is held all the time: what it is called for has not changed.
+    assert changes == [("a-0", "accepted"), ("a-1", "accepted"), ("a-1", "lost")]
+    late = [one for one in states(out, "refreshed") if one.t_us > 1_500_000]
+    assert {one.track for one in late} == {"a-0"}
+    assert late[-1].x_px == pytest.approx(second.path(np.array([late[-1].t_us / 1e6]))[0][0], abs=1.0)
+    ends = [t for one in out if isinstance(one, Frames) for t in one.t_us]
+    assert len(ends) == len(set(ends)) == (500_000 + 1_000_000) // FRAME_US
+
+
+def test_a_message_between_two_of_the_grid_takes_effect_with_the_next_window() -> None:
+    disc = Disc(5, still(100, 100))
+    batch = scene([disc], 0, 200_000, WIDTH, HEIGHT)
+    decoder = core()
+    told = [
+        (0, tracks(0, [])),
+        (51_000, tracks(45_000, [("a-0", disc, 0)])),
+        (101_000, tracks(100_000, [("a-0", disc, 0)])),
+    ]
+    out = run(decoder, batch, told, 200_000)
+    first = next(one for one in out if isinstance(one, Frames) and one.t_us)
+    assert first.t0_us <= 55_000
+    assert not decoder.refusals
+
+
+def test_a_track_of_the_clutter_on_a_beacon_takes_no_frame_and_reads_none_twice() -> None:
+    disc = Disc(5, straight(100, 100, 100, 0))
+    ghost = Disc(1, straight(103, 100, 100, 0))
+    batch = scene([disc], 0, 1_500_000, WIDTH, HEIGHT)
+    told = [
+        *((t + 20_000, tracks(t, [("a-0", disc, 0)])) for t in range(0, 500_000, 100_000)),
+        *(
+            (t + 20_000, tracks(t, [("a-0", disc, 0), ("a-1", ghost, 400_000)]))
+            for t in range(500_000, 1_500_000, 100_000)
+        ),
+    ]
+    out = run(core(), batch, told, 1_500_000)
+    ends = [(t, name) for one in out if isinstance(one, Frames) for t, name in zip(one.t_us, one.track, strict=True)]
+    assert len(ends) == 1_500_000 // FRAME_US
+    assert {name for _, name in ends} == {"a-0"}
+
+
+def test_a_frame_that_is_published_a_second_late_says_where_its_beacon_was() -> None:
+    # Two links that nobody wins hold frames; meanwhile the beacon has turned.
+    def curve(s: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        return 320 + 100 * np.cos(3 * s), 240 + 100 * np.sin(3 * s)
+
+    discs = [
+        Disc(payload, curve, lit_us=(t, t + FRAME_US))
+        for k, t in enumerate(range(0, 2_000_000, FRAME_US))
+        for payload in (5 if k % 2 else 2,)
+    ]
+    batch = scene(discs, 0, 2_000_000, WIDTH, HEIGHT)
+    told = [(t + 20_000, tracks(t, [("a-0", discs[0], 0)])) for t in range(0, 2_000_000, 100_000)]
+    out = run(core(CRANE, Beacon(name="twin", protocol="pulse", payload=5, bit_rate=200)), batch, told, 2_000_000)
+    rows = [row for one in out if isinstance(one, Frames) for row in zip(one.t_us, one.x_px, one.y_px, strict=True)]
+    assert len(rows) > 150
+    for t_us, x_px, y_px in rows:
+        x, y = curve(np.array([t_us / 1e6]))
+        assert np.hypot(x - x_px, y - y_px) < 2.0
+
+
+def test_a_region_that_is_lost_catches_up_from_where_the_tracker_saw_the_beacon() -> None:
+    disc = Disc(5, straight(100, 100, 300, 0))
+    batch = scene([disc], 0, 700_000, WIDTH, HEIGHT)
+    wrong = Disc(5, still(400, 400))
+    told = [(20_000, tracks(0, [("a-0", wrong, 0)])), (320_000, tracks(200_000, [("a-0", disc, 0)]))]
+    decoder = core()
+    out = run(decoder, batch, told, 700_000)
+    assert decoder.counters["tracks_relocated"] == 1
+    assert states(out, "accepted")[0].beacon == "crane"
+    ends = [t for one in out if isinstance(one, Frames) for t in one.t_us]
+    assert len(ends) >= (700_000 - 325_000) // FRAME_US - 1

@@ -173,6 +173,7 @@ class DecoderCore:
             out += self._apply(following, tracks, window.t0_us)
         off = Refusals()
         following.history.record(window.t0_us, following.regions.motion())
+        following.regions.rank([track.reading(window.t0_us) for track in following.tracks])
         routed = following.regions.follow(window.batch, self._config.window_us, off)
         following.history.record(following.regions.now_us, following.regions.motion())
         following.backlog.push(window.t0_us, window.batch)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -97,14 +97,19 @@ class Following:
         config = self._config
         told, left_out = told_by(message, {track.name for track in self.tracks}, config)
         then = [self.at(i, message.as_of_us) for i in range(len(self.tracks))]
-        plan = plan_of(self.tracks, then, told)
+        plan = plan_of(self.tracks, then, told, now_us)
         index = {track.serial: i for i, track in enumerate(self.tracks)}
         ended = [(track, self.regions.place(index[track.serial])) for track in plan.end]
         renamed = self._go_on(plan, then, message.as_of_us, now_us)
         self.end(plan.end)
         room = config.max_tracks - len(self.tracks)
         new = plan.new[:room]
-        begun = self._begin(new, message.as_of_us, now_us) if new else []
+        heard = [
+            at
+            for track, at in ((track, self.at(i, message.as_of_us)) for i, track in enumerate(self.tracks))
+            if track.reading(now_us)
+        ]
+        begun = self._begin([_not_twice(row, heard, now_us) for row in new], message.as_of_us, now_us) if new else []
         return Applied(renamed, ended, begun, left_out + len(plan.new) - len(new))
 
     def _go_on(self, plan: Plan, then: list[Place], as_of_us: int, now_us: int) -> list[tuple[Track, str]]:
@@ -168,3 +173,9 @@ class Following:
         for one in heard:
             self.history.append(one.trail_us, one.trail)
         return [(track, track.links.feed(one.t_us, one.on, now_us)) for track, one in zip(begun, heard, strict=True)]
+
+
+def _not_twice(row: Told, heard: list[Place], now_us: int) -> Told:
+    """Return a new track's row; what lies on the spot of one that is being read does not read its past once more."""
+    near = any(row.place.away_px(at) <= 0.5 * min(row.place.reach_px, at.reach_px) for at in heard)
+    return replace(row, born_us=now_us) if near else row

@@ -28,6 +28,7 @@ from heliograph_services.decoder.routing import (
     P_XX_LIMIT,
     PLACE_LIMIT_PX,
     RADIUS,
+    RANK,
     REACH,
     ROWS,
     SPEED_LIMIT_PX_S,
@@ -216,6 +217,13 @@ class Regions:
             # Its histogram has another width from here on.
             self._forget(i, i + 1)
             self._state[[REACH, RADIUS], i] = (reach_px, radius_px)
+
+    def rank(self, read: list[bool]) -> None:
+        """Say which regions are being read at this moment."""
+        ranks = np.array(read, np.float64)
+        if not np.array_equal(self._state[RANK, : self.n], ranks):
+            self._state[RANK, : self.n] = ranks
+            self._repaint()
 
     def _forget(self, first: int, behind: int) -> None:
         self._heard[:, first:behind] = 0

@@ -4,9 +4,10 @@ Lookup image, one uint16 a pixel (0 = nobody, i + 1 = track i)::
 
     label(p) = 1 + argmin_i |p - c_i| / r_i    over the tracks with |p - c_i| <= s_i      (equal: the lowest i)
 
-r is the region's own radius, s >= r what it listens to for now (below). It is repainted at the first step with events
-in which a region has moved or grown by a pixel since; painting costs the pixels of the regions, old and new, never
-those of the sensor.
+r is the region's own radius, s >= r what it listens to for now (below); within r a region that is being read goes
+before those that are not, so that a track of the clutter cannot take a beacon's events. It is repainted at the first
+step with events in which a region has moved or grown by a pixel since; painting costs the pixels of the regions, old
+and new, never those of the sensor.
 
 Self-centring, once a step (1 ms): each axis of a region is a Kalman filter of position and velocity, one covariance P
 for both axes, driven by white acceleration of intensity q::
@@ -60,7 +61,8 @@ P_XV: Final = 7
 P_VV: Final = 8
 Q: Final = 9
 SHARED: Final = 10  # 1 where another region that follows its target overlaps with it
-ROWS: Final = 11
+RANK: Final = 11  # 1 where frames are being read, else 0
+ROWS: Final = 12
 # Rows of what the regions have heard since they were centred last: a column a track.
 EVENTS: Final = 0
 PIXELS: Final = 1  # sum over the steps of distinct pixels less one
@@ -136,6 +138,18 @@ def shown_px(state: Floats, i: int) -> float:
 
 
 @kernel
+def goes_before(state: Floats, i: int, inner: float, k: int, x: int, y: int) -> bool:
+    """Return whether region i hears a pixel rather than region k; `inner` is its (|p - c_i| / r_i)^2."""
+    ox, oy, reach = x - state[X, k], y - state[Y, k], state[REACH, k]
+    other = (ox * ox + oy * oy) / (reach * reach)
+    if state[RANK, i] > state[RANK, k] and inner <= 1.0:
+        return True
+    if state[RANK, k] > state[RANK, i] and other <= 1.0:
+        return False
+    return inner < other
+
+
+@kernel
 def paint(labels: Labels, old: Floats, n_old: int, state: Floats, n: int) -> None:
     """Clear the n_old regions that `old` (3, capacity: x, y, reach) names, paint the n new ones, note them in `old`."""
     height, width = labels.shape
@@ -147,7 +161,8 @@ def paint(labels: Labels, old: Floats, n_old: int, state: Floats, n: int) -> Non
         reach = shown_px(state, i)
         x0, x1 = span(state[X, i], reach, width)
         y0, y1 = span(state[Y, i], reach, height)
-        limit, own = reach * reach, state[REACH, i] * state[REACH, i]
+        limit = reach * reach
+        own = state[REACH, i] * state[REACH, i]
         for y in range(y0, y1):
             dy = y - state[Y, i]
             for x in range(x0, x1):
@@ -155,15 +170,8 @@ def paint(labels: Labels, old: Floats, n_old: int, state: Floats, n: int) -> Non
                 near = dx * dx + dy * dy
                 if near > limit:
                     continue
-                other = labels[y, x]
-                if other != 0:
-                    k = other - 1
-                    ox = x - state[X, k]
-                    oy = y - state[Y, k]
-                    if (ox * ox + oy * oy) / (state[REACH, k] * state[REACH, k]) <= near / (
-                        state[REACH, i] * state[REACH, i]
-                    ):
-                        continue
+                if labels[y, x] != 0 and not goes_before(state, i, near / own, labels[y, x] - 1, x, y):
+                    continue
                 labels[y, x] = i + 1
         old[0, i] = state[X, i]
         old[1, i] = state[Y, i]
@@ -202,7 +210,7 @@ def carry(state: Floats, n: int, us: float) -> None:
 
 @kernel
 def share(state: Floats, centred_us: Ints, n: int, now_us: int) -> None:
-    """Note which regions overlap with another one that has been centred of late."""
+    """Note which regions overlap with another one, of no lower rank, that has been centred of late."""
     for i in range(n):
         state[SHARED, i] = 0.0
     for i in range(n):
@@ -210,9 +218,9 @@ def share(state: Floats, centred_us: Ints, n: int, now_us: int) -> None:
             both = state[REACH, i] + state[REACH, k]
             dx, dy = abs(state[X, i] - state[X, k]), abs(state[Y, i] - state[Y, k])
             if dx < both and dy < both and dx * dx + dy * dy < both * both:
-                if now_us - centred_us[k] <= ALIVE_US:
+                if now_us - centred_us[k] <= ALIVE_US and state[RANK, k] >= state[RANK, i]:
                     state[SHARED, i] = 1.0
-                if now_us - centred_us[i] <= ALIVE_US:
+                if now_us - centred_us[i] <= ALIVE_US and state[RANK, i] >= state[RANK, k]:
                     state[SHARED, k] = 1.0
 
 

@@ -4,11 +4,11 @@ A Tracks message speaks of an instant A; it is compared with where the regions w
 each one's centre lies in the other's region. Names move as the tracker says, and receiver, identity and region stay
 with the light that is read:
 
-- a name whose row is on its own track's spot stays. Where two such rows would change places at half the distance
-  or less, and are far enough apart to tell, their names are exchanged;
-- a name that is new, or whose row is elsewhere, goes to the nearest track on its spot that has no row there itself: a
-  restarted tracker, a crossing that was sorted out, a track that has found its beacon again. *Adopted*, it goes on
-  under that name. A name given away leaves its old track without one, and that ends;
+- a name whose row is on its own track's spot stays. Where two such rows, both of tracks that are read, would change
+  places at half the distance or less, and are far enough apart to tell, their names are exchanged;
+- a name that is new, or whose row is elsewhere, goes to the nearest track on its spot that is read and has no row there
+  itself: a restarted tracker, a crossing that was sorted out, a track that has found its beacon again. *Adopted*, it
+  goes on under that name. A name given away leaves its old track without one, and that ends;
 - what else has a row goes on under its name; what has none lives as long as it is read, unless a track that has one is
   on its spot: of two that hear one beacon, the one that was read last lives, under the name that has the row;
 - the remaining rows are new tracks.
@@ -134,13 +134,14 @@ def told_by(message: Tracks, followed: set[str], config: DecoderConfig) -> tuple
     return rows, len(message.track) - len(rows)
 
 
-def plan_of(followed: list[Track], then: list[Place], told: list[Told]) -> Plan:
+def plan_of(followed: list[Track], then: list[Place], told: list[Told], now_us: int) -> Plan:
     """Return what a message means for the tracks.
 
     Args:
         followed: the tracks, in their order.
         then: where they were at the message's instant.
         told: the message's rows.
+        now_us: the time.
     """
     by_name = {row.name: row for row in told}
     at_home: dict[int, Told] = {}  # by the track's index
@@ -148,12 +149,13 @@ def plan_of(followed: list[Track], then: list[Place], told: list[Told]) -> Plan:
         row = by_name.get(track.name)
         if row is not None and _one_spot(then[i], row.place):
             at_home[i] = row
-    at_home = _exchanged(then, at_home)
+    live = {i for i, track in enumerate(followed) if track.read or track.reading(now_us)}
+    at_home |= _exchanged(then, {i: row for i, row in at_home.items() if i in live})
     home_names = {row.name for row in at_home.values()}
 
     loose = [i for i in range(len(followed)) if i not in at_home]
     free = [row for row in told if row.name not in home_names]
-    given: dict[int, Told] = at_home | _pairs(loose, then, free)
+    given: dict[int, Told] = at_home | _pairs([i for i in loose if i in live], then, free)
     taken = {row.name for row in given.values()}
     for i in loose:
         row = by_name.get(followed[i].name)
