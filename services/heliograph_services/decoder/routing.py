@@ -146,7 +146,7 @@ def goes_before(state: Floats, i: int, inner: float, k: int, x: int, y: int) -> 
         return True
     if state[RANK, k] > state[RANK, i] and other <= 1.0:
         return False
-    return inner < other
+    return bool(inner < other)
 
 
 @kernel
