@@ -1,3 +1,4 @@
+# ruff: noqa: SLF001 - the stages are timed where they are called
 """What the tracker costs: kernels beside other people's, whole scenes in one process, and as real processes.
 
 Kernels (one thread, medians, all of one run): a tick of the flow network on 10k and 100k clustered active pixels beside
@@ -9,9 +10,10 @@ Scenes, a camera second each, by the thread's processor time around the calls (m
     site        construction_site, full fidelity          site-live   the same, live
     busy        5 Mev/s at the sensor: half noise, moving texture, 20 beacons at 2 kbit/s
 
-`gating` is the source's count of onsets, `wire` the packing of their records, `tracker` all of the tracker's `feed`
-with statuses of a decoder that calls nothing valid; `network` the flow network alone on the same onsets. `stages` are
-the shares of the tracker's time by file (cProfile: kernels count where they are called from; with its own overhead).
+`gating` is the source's count, gate and budget of onsets, `source` all of its core, `packing` what making the onsets'
+records for the wire takes besides; the tracker is timed as shipped and with the flow network (`network`: all calls of
+its motion). It is live and without a decoder: nothing is ever called valid. `stages` are the shares of the tracker's
+time by file (cProfile: kernels count where they are called from; with its own overhead).
 
 Processes: the busy scene's recording and the site's, played at real time by a source, with router and tracker; their
 processor time from /proc over the seconds after the first.
@@ -23,6 +25,7 @@ from __future__ import annotations
 
 import argparse
 import cProfile
+import dataclasses
 import json
 import os
 import platform
@@ -31,7 +34,6 @@ import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +44,6 @@ sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "tes
 import live_scenes  # noqa: E402
 
 from heliograph.core import Context  # noqa: E402
-from heliograph.messages import Tracks  # noqa: E402
-from heliograph.onsets import OnsetCounter, OnsetSettings  # noqa: E402
 from heliograph.onsets import warm as warm_onsets  # noqa: E402
 from heliograph.streams import Onsets  # noqa: E402
 from heliograph.wire import pack_body  # noqa: E402
@@ -59,6 +59,11 @@ SCENES: dict[str, tuple[str, dict[str, Any]]] = {
     "site": ("construction_site", {}),
     "site-live": ("construction_site", {"fidelity": "live"}),
     "busy": (live_scenes.busy(), {}),
+}
+# As shipped, and with all that the flow network can do for it.
+TRACKERS = {
+    "tracker": TrackerConfig(),
+    "tracker_with_network": TrackerConfig(flow="numba", prediction="both"),
 }
 # The first second warms caches, gates and births.
 SKIPPED_S = 1.0
@@ -150,66 +155,91 @@ def thousand_tracks(runs: int = 15) -> dict[str, Any]:
 # ---- whole scenes in one process -------------------------------------------------------------------------------------
 
 
+class Timed:
+    """Stands before an object and adds up the thread's processor time of its methods, calls within calls once."""
+
+    def __init__(self, inner: Any) -> None:
+        self._inner = inner
+        self._depth = 0
+        self.took_s = 0.0
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(self._inner, name)
+        if not callable(found):
+            return found
+
+        def call(*given: Any, **named: Any) -> Any:
+            start, self._depth = time.thread_time(), self._depth + 1
+            try:
+                return found(*given, **named)
+            finally:
+                self._depth -= 1
+                if self._depth == 0:
+                    self.took_s += time.thread_time() - start
+
+        return call
+
+
 def recorded(name: str, seconds: float) -> tuple[list[Onsets], dict[str, Any]]:
     """Return a scene's onsets as its source sends them, and what making them cost."""
     scenario, settings = SCENES[name]
     batches = live_scenes.events_of(scenario, SEED, seconds, **settings)
     config = EventSourceConfig(backend="simulated", window_us=20_000, max_events=1_000_000)
     source = SourceCore(config, CameraInfo(640, 480))
-    counter = OnsetCounter(
-        OnsetSettings(
-            width=640, height=480, tick_us=config.tick_us, pool_px=config.pool_px,
-            gate=config.gate, min_events=config.min_events,
-        )
-    )  # fmt: skip
+    counter, budget = Timed(source._counter), Timed(source._budget)
+    source._counter, source._budget = counter, budget
     warm_onsets()
     onsets: list[Onsets] = []
-    gating, wire, packed = [], [], 0
+    whole_s, packing_s, packed = 0.0, 0.0, 0
+    skipped = round(SKIPPED_S / 0.02)
     for i, batch in enumerate(batches):
+        if i == skipped:
+            whole_s = packing_s = counter.took_s = budget.took_s = 0.0
         t0_us, t1_us = i * 20_000, (i + 1) * 20_000
         start = time.thread_time()
-        counter.count(batch, t0_us, t1_us)
-        gating.append(time.thread_time() - start)
         made = [m for m in source.feed(Window(t0_us, t1_us, batch, "bench")) if isinstance(m, Onsets)]
-        for message in made:
-            start = time.thread_time()
-            packed += len(pack_body(message))
-            wire.append(time.thread_time() - start)
+        middle = time.thread_time()
+        packed += sum(len(pack_body(message)) for message in made)
+        whole_s += middle - start
+        packing_s += time.thread_time() - middle
         onsets += made
-    first = round(SKIPPED_S / 0.02)
-    took_s = 0.02 * len(gating[first:])
+    per_s = 1.0 / (0.02 * max(1, len(batches) - skipped))
     return onsets, {
         "events_s": round(sum(map(len, batches)) / seconds),
         "entries_s": round(sum(len(m.tick) for m in onsets) / seconds),
         "packed_bytes_s": round(packed / seconds),
-        "gating_core": round(sum(gating[first:]) / took_s, 3),
-        "wire_core": round(sum(wire[first:]) / took_s, 3),
+        "gating_core": round((counter.took_s + budget.took_s) * per_s, 3),
+        "source_core": round(whole_s * per_s, 3),
+        "packing_core": round(packing_s * per_s, 3),
+        "source_counters": {name: n for name, n in source.counters.items() if n},
     }
 
 
-def seconds_of(onsets: list[Onsets], feed: Callable[[Onsets], Any]) -> list[float]:
-    """Return the processor time of each camera second after the first."""
-    took: dict[int, float] = {}
+def tracked(onsets: list[Onsets], config: TrackerConfig) -> dict[str, Any]:
+    """Return what the tracker takes of a core, its worst second, and the network's part of it."""
+    core = make_core(config, LIVE)
+    motions: list[Timed] = []
+
+    def motion(*given: Any, make: Any = core._backends.motion) -> Timed:
+        motions.append(Timed(make(*given)))
+        return motions[-1]
+
+    core._backends = dataclasses.replace(core._backends, motion=motion)
+    took: dict[int, list[float]] = {}
     for message in onsets:
-        start = time.thread_time()
-        feed(message)
-        second = message.t0_us // 1_000_000
-        took[second] = took.get(second, 0.0) + time.thread_time() - start
-    return [s for second, s in took.items() if second >= SKIPPED_S] or list(took.values())
-
-
-def network(onsets: list[Onsets]) -> list[float]:
-    """Return the processor time of the flow network alone."""
-    from heliograph_services.tracker.flow.pyramid import FlowPyramid  # noqa: PLC0415
-    from heliograph_services.tracker.flow.pyramid import warm as warm_flow  # noqa: PLC0415
-    from heliograph_services.tracker.flow.settings import FlowSettings  # noqa: PLC0415
-
-    warm_flow()
-    first = onsets[0]
-    flow = FlowPyramid(
-        FlowSettings(), width=first.width, height=first.height, tick_us=first.tick_us, pool_px=first.pool_px
-    )
-    return seconds_of(onsets, flow.feed)
+        before, start = sum(one.took_s for one in motions), time.thread_time()
+        core.feed(message)
+        second = took.setdefault(message.t0_us // 1_000_000, [0.0, 0.0])
+        second[0] += time.thread_time() - start
+        second[1] += sum(one.took_s for one in motions) - before
+    rows = [row for second, row in took.items() if second >= SKIPPED_S] or list(took.values())
+    return {
+        "core": round(statistics.median(row[0] for row in rows), 3),
+        "worst_second": round(max(row[0] for row in rows), 3),
+        "network_core": round(statistics.median(row[1] for row in rows), 3),
+        "n_seconds": len(rows),
+        "counters": {name: n for name, n in core.counters.items() if n},
+    }
 
 
 def stages(onsets: list[Onsets], config: TrackerConfig) -> tuple[dict[str, float], str]:
@@ -246,30 +276,21 @@ def stages(onsets: list[Onsets], config: TrackerConfig) -> tuple[dict[str, float
 
 
 def scenes(seconds: float, profile_to: Path | None) -> dict[str, Any]:
-    """Return a row a scene."""
-    config = TrackerConfig()
-    warm(config.clustering, config.kalman)
+    """Return a row a scene: the source's part, and the tracker as it is shipped and with the network."""
     found: dict[str, Any] = {}
     text: list[str] = []
+    for config in TRACKERS.values():
+        warm(config.clustering, config.kalman, config.flow)
     for name in SCENES:
         onsets, row = recorded(name, seconds)
-        core = make_core(config, LIVE)
-        published = 0
-
-        def feed(message: Onsets, core: Any = core) -> None:
-            nonlocal published
-            published += sum(isinstance(one, Tracks) for one in core.feed(message))
-
-        took = seconds_of(onsets, feed)
-        row["tracker_core"] = round(statistics.median(took), 3)
-        row["tracker_worst_second"] = round(max(took), 3)
-        row["network_core"] = round(statistics.median(network(onsets)), 3)
-        row["counters"] = {name: n for name, n in core.counters.items() if n}
-        row["stages"], table = stages(onsets, config)
-        row["n_seconds"] = len(took)
+        for arm, config in TRACKERS.items():
+            row[arm] = tracked(onsets, config)
+            row[arm]["stages"], table = stages(onsets, config)
+            text += [f"## {name}, {arm}", json.dumps(row), "```", table, "```", ""]
         found[name] = row
-        text += [f"## {name}", json.dumps(row), "```", table, "```", ""]
-        print(name, {k: v for k, v in row.items() if k not in {"counters", "stages"}}, flush=True)
+        print(name, {k: v for k, v in row.items() if "counters" not in k and k not in TRACKERS}, flush=True)
+        for arm in TRACKERS:
+            print("   ", arm, {k: v for k, v in row[arm].items() if k not in ("counters", "stages")}, flush=True)
     if profile_to is not None:
         profile_to.write_text("\n".join(text))
     return found
@@ -349,7 +370,13 @@ def main() -> None:
     args = parser.parse_args()
     result = json.loads(args.output.read_text()) if args.output.exists() else {}
     parts = args.part or ["kernels", "scenes", "processes"]
-    result["machine"] = {"machine": platform.machine(), "python": platform.python_version(), "seed": SEED, "threads": 1}
+    result["machine"] = {
+        "machine": platform.machine(),
+        "python": platform.python_version(),
+        "seed": SEED,
+        "threads": 1,
+        "load_1min": round(os.getloadavg()[0], 1),
+    }
     for part in parts:
         if part == "kernels":
             result[part] = kernels()

@@ -30,6 +30,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import platform
 import sys
 import tempfile
@@ -406,7 +407,8 @@ def study(arm: str, seeds: list[int], seconds: float, settings: dict[str, str]) 
         found, wrong = scored(wanted, client)
         rows += found
         late = np.array(client.origins) - client.origin_s
-        runs.append({"seed": seed, "n": len(found), "wrong": wrong, **heard,
+        # What else the host had to do: latencies are those of a shared machine.
+        runs.append({"seed": seed, "n": len(found), "wrong": wrong, **heard, "load_1min": round(os.getloadavg()[0], 1),
                      "source_late_ms_p99": round(1e3 * float(np.quantile(late, 0.99)), 2)})  # fmt: skip
         print(arm, runs[-1], json.dumps(summary(found)), flush=True)
     return {"goal_p95_ms": GOAL_MS[arm], "seconds": seconds, "runs": runs, "settings": settings, **summary(rows),
