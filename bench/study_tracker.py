@@ -50,7 +50,7 @@ REPEATS: Final = {
 }  # fmt: skip
 # Measured on one core: CPU seconds of a run, all readers together.
 CPU_S: Final = {
-    "moving": 14.0, "identities": 130.0, "crowd": 150.0, "crossings": 2.5, "occlusions": 5.0, "handheld": 50.0,
+    "moving": 14.0, "identities": 130.0, "crowd": 150.0, "crossings": 2.0, "occlusions": 5.0, "handheld": 50.0,
     "spin": 60.0,
 }  # fmt: skip
 

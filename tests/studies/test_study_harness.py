@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import msgspec
@@ -12,7 +13,7 @@ from scipy import stats
 from heliograph.events import concatenate
 from heliograph.messages import Frames, Identification, Message
 from heliograph.streams import Events
-from heliograph_services.cli.studies import crowds, holding
+from heliograph_services.cli.studies import crowds, holding, tracker_rows, tracker_tables
 from heliograph_services.cli.studies.blocks import difference, lower_bound, share
 from heliograph_services.cli.studies.genie import CORE_PX, hearer
 from heliograph_services.cli.studies.paths import TruePaths, true_paths
@@ -190,3 +191,13 @@ def test_bounds_are_those_of_scipy() -> None:
     assert [found.low, found.high] == pytest.approx([theirs.low, theirs.high], abs=1e-3)
     assert difference(right, right, sent).value == 0.0
     assert share(sent, sent).low == pytest.approx(1.0 - (1.0 - 0.05 ** (1.0 / 300)))
+
+
+def test_every_table_can_be_made_of_its_rows(seen: Episode) -> None:
+    row = tracker_rows.frames_row(seen) | {"run": {"seed": 5, "sensor": "mini", "move": "slow", "bit_rate": 2000.0}}
+    row["run"]["background"] = "noise"
+    table = tracker_tables.lines("moving", [row | {"code": "c"}])
+    sent = sent_frames(seen.truths, seen.paths)
+    assert sum(block[2] for name in ("out", "in") for block in row[name]) == sent.visible.sum()
+    assert f"frames {sent.visible.sum()}" in next(line for line in table if "all visible" in line)
+    assert json.loads(json.dumps(row)) == row

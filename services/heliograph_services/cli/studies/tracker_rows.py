@@ -37,7 +37,7 @@ def moving(
 ) -> Row:
     """Return the row of 20 beacons with a new payload for every frame: MAR, beside the genie's."""
     script = crowds.moving(seed, sensor, move, bit_rate, seconds, fresh=True, texture=background == "texture")
-    return _frames_row(episode(_setting(script.text, seed, seconds, bit_rate), readers))
+    return frames_row(episode(_setting(script.text, seed, seconds, bit_rate), readers))
 
 
 def identities(seed: int, sensor: str, move: str, bit_rate: float, seconds: float, background: str) -> Row:
@@ -50,7 +50,7 @@ def crowd(seed: int, seconds: float) -> Row:
     """Return the row of the built-in `crowd`."""
     decoder = {"protocol": "code", "bit_rate": 1000.0, "options": {"codebook": "code20d4"}}
     said = episode(Setting("crowd", seed, seconds, decoder, source={"fidelity": "live"}))
-    return _frames_row(said) | _identities_row(said)
+    return frames_row(said) | _identities_row(said)
 
 
 def crossing(seed: int, kind: str, bit_rate: float) -> Row:
@@ -75,7 +75,7 @@ def handheld(seed: int, seconds: float) -> Row:
     listed = msgspec.to_builtins(site_beacons(load_scenario("handheld")))
     said = episode(Setting("handheld", seed, seconds, {"beacons": listed}, source={"fidelity": "live"}), PAIR)
     counts = holding.held(said.said["ours"], said.paths)
-    return _frames_row(said) | {"nowhere": counts.nowhere, "confused": counts.confused}
+    return frames_row(said) | {"nowhere": counts.nowhere, "confused": counts.confused}
 
 
 def spin(seed: int, seconds: float) -> Row:
@@ -122,7 +122,7 @@ def _cost(said: Episode) -> Row:
     }
 
 
-def _frames_row(said: Episode) -> Row:
+def frames_row(said: Episode) -> Row:
     """Return the counts of frames, by block, class and reader."""
     sent = sent_frames(said.truths, said.paths)
     found = {name: verdicts(sent, one.frames, said.paths) for name, one in said.said.items()}

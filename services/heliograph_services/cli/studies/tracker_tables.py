@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from heliograph_services.cli.studies.blocks import difference, lower_bound, share
 from heliograph_services.cli.studies.tracking import Clear, Identity
@@ -39,33 +40,35 @@ def _grouped(rows: Sequence[Row], *names: str) -> dict[str, list[Row]]:
     return dict(sorted(groups.items()))
 
 
-def _columns(rows: Sequence[Row], name: str, reader: str) -> tuple[list[int], list[int], list[int]]:
-    """Return sent, right and wrong of a reader, by block."""
-    blocks = [(block, row["readers"].index(reader)) for row in rows for block in row[name]]
-    return (
-        [block[2] for block, _ in blocks],
-        [block[3 + 2 * at] for block, at in blocks],
-        [block[4 + 2 * at] for block, at in blocks],
-    )
+def _columns(rows: Sequence[Row], classes: Sequence[str], reader: str) -> npt.NDArray[np.int64]:
+    """Return (3, k): sent, right and wrong of a reader, by block of a beacon and a second."""
+    blocks: dict[tuple[int, int, int], npt.NDArray[np.int64]] = {}
+    for i, row in enumerate(rows):
+        at = 3 + 2 * row["readers"].index(reader)
+        for name in classes:
+            for block in row[name]:
+                key, counts = (i, block[0], block[1]), np.array([block[2], *block[at : at + 2]], np.int64)
+                blocks[key] = blocks[key] + counts if key in blocks else counts
+    return np.array(list(blocks.values()), np.int64).reshape(-1, 3).T
 
 
 def _mar(rows: Sequence[Row]) -> list[str]:
     """Return the lines of one group: classes, readers, the difference."""
     out = []
-    for name, title in (("out", "outside close pairs"), ("in", "inside")):
-        sent, right, wrong = _columns(rows, name, "ours")
+    for classes, title in ((("out",), "outside close pairs"), (("in",), "inside"), (("out", "in"), "all visible")):
+        sent, right, wrong = _columns(rows, classes, "ours")
         if not sum(sent):
             continue
         text = f"  {title:<20} ours {share(right, sent)}"
         for other in ("told", "genie"):
             if all(other in row["readers"] for row in rows):
-                _, others, wrong_others = _columns(rows, name, other)
+                _, others, wrong_others = _columns(rows, classes, other)
                 text += f"  {other} {sum(others) / sum(sent):.4f} (wrong {sum(wrong_others) / sum(sent):.5f})"
                 if other == "genie":
                     text += f"  ours - genie {difference(right, others, sent)}"
         out.append(f"{text}  wrong {share(wrong, sent)}  frames {sum(sent)}, blocks {len(sent)}")
     published, insertions = (sum(row["published"]["ours"][i] for row in rows) for i in (0, 1))
-    wrong_all = sum(sum(_columns(rows, name, "ours")[2]) for name in ("out", "in"))
+    wrong_all = int(_columns(rows, ("out", "in"), "ours")[2].sum())
     lost: Counter[str] = Counter()
     for row in rows:
         lost.update(row["lost"])
@@ -74,7 +77,8 @@ def _mar(rows: Sequence[Row]) -> list[str]:
     received = 1 - (insertions + wrong_all) / published if published else math.nan
     out.append(
         f"  MAR_received {received:.4f} ({insertions} insertions)  frames' places RMSE {rmse:.3f} px"
-        f"  lost {lost['frames']}: without a track {lost['untracked']}, the genie too {lost['genie_too']}"
+        f"  lost outside close pairs {lost['frames']}: without a track {lost['untracked']}, the genie too"
+        f" {lost.get('genie_too', '-')}"
     )
     return out
 
