@@ -1,9 +1,9 @@
 """What of the onsets crosses the link when all of them do not fit: lights first, then edges, tile by tile.
 
 A message may cost what has been saved for it: each of length T adds ``.95 R T / 8 - OVERHEAD_BYTES`` bytes to the
-credit, of which `CREDIT_MESSAGES` are kept at most; each takes from it what its columns really took, and may overdraw
-it. So over any second the link carries at most ``R`` and little more. How many entries fit follows from what an entry
-has cost lately.
+credit, of which those of `CREDIT_US` are kept at most; each takes from it what its columns really took, and may
+overdraw it. So over any second the link carries at most R and little more. How many entries fit follows from what an
+entry has cost lately.
 
 If n entries do not fit, tiles of 32x32 pixels are left out whole, since a cut target has a wrong centre and a cut front
 a wrong motion. Tiles are taken in the order of a hash until the next one does not fit::
@@ -28,9 +28,9 @@ from heliograph.units import US_PER_S
 
 Flags = npt.NDArray[np.bool_]
 
-# Quiet times save for no more than this: a second's worst is then at most this much above the rate.
-CREDIT_MESSAGES: Final = 2
-# A share of the rate that is not planned with: the message that overdraws, other traffic of the source.
+# What quiet ticks leave may be used by the next ones so long: a second's worst is then a twentieth above the plan.
+CREDIT_US: Final = 50_000
+# A share of the rate that is not planned with, for just that.
 RESERVE: Final = 0.05
 TILE_SHIFT: Final = 5
 EPOCH_US: Final = 500_000
@@ -59,6 +59,7 @@ class OnsetBudget:
 
     def __init__(self, bit_rate: float, message_us: int) -> None:
         self._income = bit_rate * (1 - RESERVE) / 8 * message_us / US_PER_S - OVERHEAD_BYTES
+        self._most = max(1.0, CREDIT_US / message_us) * self._income
         self._limited = bit_rate > 0
         self._credit = 0.0
         self._cost = FIRST_COST
@@ -83,7 +84,7 @@ class OnsetBudget:
         n = len(columns.tick)
         if not self._limited:
             return Kept(np.ones(n, np.bool_), 0, 0)
-        self._credit = min(self._credit + self._income, CREDIT_MESSAGES * self._income)
+        self._credit = min(self._credit + self._income, self._most)
         room = max(0, int(self._credit / self._cost))
         if n <= room:
             return Kept(np.ones(n, np.bool_), 0, 0)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from heliograph.onset_budget import CREDIT_MESSAGES, TILE_SHIFT, OnsetBudget
+from heliograph.onset_budget import CREDIT_US, TILE_SHIFT, OnsetBudget
 from heliograph.onset_columns import pack_columns
 from heliograph.onsets import OnsetColumns
 from heliograph.streams import OVERHEAD_BYTES
@@ -44,7 +44,7 @@ def test_no_second_carries_more_than_the_rate(seed: int, bit_rate: float, loads:
     pool = [columns(rng, load, load // 10) for load in loads]
     sizes = [crossed(budget, pool[i % len(pool)], i * MESSAGE_US)[1] + OVERHEAD_BYTES for i in range(120)]
     # The reserve covers what a quiet time has saved; what overdraws is paid for by the messages after it.
-    overdrawn = max(sizes) + CREDIT_MESSAGES * bit_rate / 8 * MESSAGE_US / 1e6
+    overdrawn = max(sizes) + bit_rate / 8 * CREDIT_US / 1e6
     for start in range(20):
         assert sum(sizes[start : start + 100]) <= 0.95 * bit_rate / 8 + overdrawn
 
