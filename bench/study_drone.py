@@ -13,8 +13,8 @@ Who reads (the same events for all):
     both, centroid, none     our tracker, its `prediction`; `both` with our network, l_tau 0
     flow_0, flow_5, flow_9   the flow's velocity alone: our network without memory, and with l_tau .5 and .9
     literal                  the same with the network as the paper says it: 10 executions at 10 Hz, l_tau .5
-    paper                    the whole of the paper's way: 100 ms windows, its shape ratio and L1 cost, the literal
-                             flow, the receiver `paper`
+    paper                    the whole of the paper's way: windows of one bit (in 100 ms no light that moves is
+                             round), its shape ratio and L1 cost, the literal flow, the receiver `paper`
     paper_receiver           our tracker (`centroid`) before the paper's receiver
     genie                    our receiver along the true paths
 
@@ -66,7 +66,7 @@ TRACKERS: dict[str, dict[str, Any]] = {
     "flow_5": {**FLOW, "flow_l_tau": 0.5},
     "flow_9": {**FLOW, "flow_l_tau": 0.9},
     "literal": PAPER,
-    "paper": {**PAPER, "cluster_window_us": 100_000, "shape": "paper", "cost": "l1"},
+    "paper": {**PAPER, "cluster_window_us": 20_000, "shape": "paper", "cost": "l1"},
     "paper_receiver": {"prediction": "centroid"},
 }
 RECEIVERS = {"paper": "paper", "paper_receiver": "paper"}

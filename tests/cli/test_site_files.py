@@ -16,7 +16,7 @@ from heliograph_services.cli.services import config_type
 from heliograph_services.event_source.simulation.world.load import load_scenario, site_beacons
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
-SITES = ("laptop", "onboard", "ground", "reference")
+SITES = ("laptop", "onboard", "ground", "reference", "paper")
 
 
 @pytest.mark.parametrize("name", SITES)
@@ -32,7 +32,8 @@ def test_a_shipped_site_has_valid_settings_and_links_that_zenoh_accepts(name: st
 @pytest.mark.parametrize("name", SITES)
 def test_a_shipped_site_lists_the_beacons_of_the_scene(name: str) -> None:
     site = load_site(DEPLOY / "sites" / f"{name}.toml")
-    assert list(site.beacon) == site_beacons(load_scenario("five"))
+    scenario = "construction_site_nrp" if name == "paper" else "five"
+    assert list(site.beacon) == site_beacons(load_scenario(scenario))
 
 
 def test_drone_and_ground_are_two_halves_of_one_site() -> None:
@@ -47,7 +48,7 @@ def test_drone_and_ground_are_two_halves_of_one_site() -> None:
     assert kinds == sorted(entry.kind for entry in load_site(DEPLOY / "sites" / "laptop.toml").service)
 
 
-def test_the_ports_of_the_three_routers_differ() -> None:
+def test_the_ports_of_the_routers_differ() -> None:
     ports = [load_site(DEPLOY / "sites" / f"{name}.toml").router for name in SITES]
     assert len({router.listen for router in ports if router}) == len(SITES)
 
