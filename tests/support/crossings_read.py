@@ -60,10 +60,10 @@ def windows(scene: Scene, seconds: float) -> Iterator[Window]:
         times.append(rng.integers(t0_us, t0_us + WINDOW_US, n))
         pixels.append(rng.integers(0, scene.width * scene.height, n))
         ons.append(rng.random(n) < 0.5)
-        t_us, pixel, on = (np.concatenate(column) for column in (times, pixels, ons))
-        order = np.argsort(t_us, kind="stable")
-        y_px, x_px = np.divmod(pixel[order], scene.width)
-        batch = EventBatch(t_us[order], x_px.astype(np.uint16), y_px.astype(np.uint16), on[order])
+        order = np.argsort(np.concatenate(times), kind="stable")
+        y_px, x_px = np.divmod(np.concatenate(pixels)[order], scene.width)
+        at_us, lit_up = np.concatenate(times)[order], np.concatenate(ons)[order]
+        batch = EventBatch(at_us, x_px.astype(np.uint16), y_px.astype(np.uint16), lit_up)
         yield Window(t0_us, t0_us + WINDOW_US, batch, "scene", end=k == last - 1)
 
 

@@ -120,7 +120,7 @@ def test_a_stream_with_a_giant_sensor_and_no_events_costs_nothing_to_follow() ->
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"eps_px": 0.5}, {"cluster_window_us": 20_000}, {"period_us": 0}, {"min_roundness": 1.5}, {"shape": "square"},
+        {"eps_px": 0.5}, {"cluster_window_us": 200_000}, {"period_us": 0}, {"min_roundness": 1.5}, {"shape": "square"},
         {"max_tracks": 0}, {"unknown": 1}, {"camera": "a/b"}, {"cost": "l3"},
     ],
 )  # fmt: skip

@@ -24,7 +24,7 @@ from heliograph_services.tracker.motion import Motion, Steering
 from heliograph_services.tracker.quarantine import Quarantine
 from heliograph_services.tracker.shape import ShapeFilter, Targets
 from heliograph_services.tracker.sighting import Rule, Sighting, see
-from heliograph_services.tracker.splitting import split
+from heliograph_services.tracker.splitting import carve, split
 from heliograph_services.tracker.tracks import INVALID, VALID, Numbers, Snapshot, TrackTable
 from heliograph_services.tracker.windows import Window
 
@@ -237,6 +237,11 @@ class GridFollower:
             self._counters["windows_flooded"] += 1
             return None
         targets = shape.measure(active, labels, np.zeros(count, np.bool_), self._pool_px, self._rule)
+        carved = carve(active, labels, targets, self._clusterer.labels, self._config.min_pixels)
+        if carved is not None:
+            self._counters["targets_carved"] += carved[1] - count
+            labels, count = carved
+            targets = shape.measure(active, labels, np.zeros(count, np.bool_), self._pool_px, self._rule)
         named = self.table.named
         cut = split(active, labels, targets, self.table.state[named, :2], self.table.size_px[named], self._pool_px)
         if cut is None:

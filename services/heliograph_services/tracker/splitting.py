@@ -4,10 +4,14 @@ A cluster is cut if the predicted centres of several tracks lie within its reach
 largest of them; each pixel then goes to the nearest centre. Without the cut one track would be pulled into the middle
 and the other starve. The centre of a piece is biased away from the other beacon: it counts as little as one pixel of
 the disc (`association`), so that two that pass each other quickly coast through, and do not bounce.
+
+A beacon on a moving edge makes one cluster with it, long before and after it lies free. What blinks there is told from
+what is crossed (`shape.BOTH_SHARE`): the pixels that went both ways are clustered among themselves and cut out.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -15,12 +19,44 @@ import numpy.typing as npt
 
 from heliograph_services.tracker.clustering import Active, Ints
 from heliograph_services.tracker.jit import kernel
-from heliograph_services.tracker.shape import Targets
+from heliograph_services.tracker.shape import NOT_ROUND, TOO_MANY, Targets
 
 Floats = npt.NDArray[np.float64]
 
 # One beacon's swept disc is up to 1.4 times its size; two that touch are 2.
 MERGED: Final = 1.5
+# Where more of a cluster blinks, it is the light itself, and the rest is its rim.
+CARVED_SHARE: Final = 0.7
+
+
+def carve(
+    active: Active, labels: Ints, targets: Targets, cluster: Callable[[Active], tuple[Ints, int]], min_pixels: int
+) -> tuple[Ints, int] | None:
+    """Cut what blinks out of the clusters that have not the shape of a light; return labels and how many, or None.
+
+    Args:
+        active: the window's n pixels.
+        labels: (n,) int32.
+        targets: of these labels.
+        cluster: the clustering.
+        min_pixels: what is smaller stays where it is.
+    """
+    crossed = (targets.verdict == NOT_ROUND) | (targets.verdict == TOO_MANY)
+    crossed &= (targets.both >= min_pixels) & (targets.both < CARVED_SHARE * targets.pixels)
+    if not crossed.any():
+        return None
+    blinking = np.flatnonzero((labels >= 0) & crossed[labels] & (active.on > 0) & (active.off > 0))
+    inner, count = cluster(
+        Active(active.x_px[blinking], active.y_px[blinking], active.on[blinking], active.off[blinking])
+    )
+    large = np.bincount(inner[inner >= 0], minlength=count) >= min_pixels
+    if not large.any():
+        return None
+    place = np.cumsum(large) - 1 + len(targets)
+    cut = np.flatnonzero((inner >= 0) & large[inner])
+    out = labels.copy()
+    out[blinking[cut]] = place[inner[cut]]
+    return out, len(targets) + int(large.sum())
 
 
 @kernel
