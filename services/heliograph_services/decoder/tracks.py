@@ -4,11 +4,11 @@ A Tracks message speaks of an instant A; it is compared with where the regions w
 each one's centre lies in the other's region. Names move as the tracker says, and receiver, identity and region stay
 with the light that is read:
 
-- a name whose row is on its own track's spot stays. Where two such rows, both of tracks that are read, would change
-  places at half the distance or less, and are far enough apart to tell, their names are exchanged;
-- a name that is new, or whose row is elsewhere, goes to the nearest track on its spot that is read and has no row there
-  itself: a restarted tracker, a crossing that was sorted out, a track that has found its beacon again. *Adopted*, it
-  goes on under that name. A name given away leaves its old track without one, and that ends;
+- a name whose row is on its own track's spot stays. Where two such rows, both of tracks that are being read, would
+  change places at half the distance or less, and are far enough apart to tell, their names are exchanged;
+- a name that is new, or whose row is elsewhere, goes to the nearest track on its spot that is being read and has no row
+  there itself: a restarted tracker, a crossing that was sorted out, a track that has found its beacon again. *Adopted*,
+  it goes on under that name. A name given away leaves its old track without one, and that ends;
 - what else has a row goes on under its name; what has none lives as long as it is read, unless a track that has one is
   on its spot: of two that hear one beacon, the one that was read last lives, under the name that has the row;
 - the remaining rows are new tracks.
@@ -30,8 +30,8 @@ from heliograph_services.decoder.regions import Doubt, Place, doubt, place
 
 # Where the tracker has been silent for so long, only what is read goes on (paper: a valid track's delay_max).
 SILENCE_US: Final = 2_000_000
-# Read at this moment: a frame of 11 bits at 50 bit/s takes 220 ms.
-READING_US: Final = 300_000
+# Read at this moment: a frame of 20 bits at 50 bit/s takes 400 ms.
+READING_US: Final = 450_000
 # Two names change places if that halves the distances, and they are off by more than a centroid's error each.
 EXCHANGE: Final = 0.5
 EXCHANGE_PX: Final = 2.0
@@ -149,7 +149,7 @@ def plan_of(followed: list[Track], then: list[Place], told: list[Told], now_us: 
         row = by_name.get(track.name)
         if row is not None and _one_spot(then[i], row.place):
             at_home[i] = row
-    live = {i for i, track in enumerate(followed) if track.read or track.reading(now_us)}
+    live = {i for i, track in enumerate(followed) if track.reading(now_us)}
     at_home |= _exchanged(then, {i: row for i, row in at_home.items() if i in live})
     home_names = {row.name for row in at_home.values()}
 
