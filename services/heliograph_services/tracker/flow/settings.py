@@ -65,7 +65,7 @@ class FlowSettings:
             neurons' velocities, weighted by the cubed potential.
         hold_ticks: samples this old still answer; the slowest edge takes 10 ticks to cross a kernel.
         tile_inputs: where more inputs than this fall on 64 x 16 pixels of a network within 11 ticks, only a sample of
-            the spikes is read (`sampling`); in proportion more where a tick is longer than 10 ms, since work a second is
+            the spikes is read (`sampling`); in proportion more where a tick is longer than 10 ms: work a second is
             what counts. A disc 9 px across that crosses a tile makes about as many; inf reads all.
         limit_pixels: a tick of more inputs is a flash, and is counted and skipped.
 
