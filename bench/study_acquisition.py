@@ -17,6 +17,8 @@ Arms:
     host    source, tracker and decoder on one host, shared memory
     link    tracker behind a link of 2 Mbit/s and 50 ms each way, shared memory off; a router on each side
     link25  the same with 25 ms each way (50 ms there and back)
+    cores, cores-link   the same cores in one process, live but without a clock: every message is there at once, or
+            after 50 ms each way; what the algorithms take, on a host of any speed and with any load
 
 Parts, medians: `light` appearance to the end of the last frame that the identity rests on (no receiver could be
 quicker with these frames); `born` to the track's birth; `track` to the arrival of the first Tracks message that has it,
@@ -28,6 +30,7 @@ Run: OMP_NUM_THREADS=1 python bench/study_acquisition.py [host] [link] [link25] 
 from __future__ import annotations
 
 import argparse
+import heapq
 import json
 import math
 import os
@@ -36,75 +39,41 @@ import sys
 import tempfile
 import threading
 import time
+import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
 import numpy as np
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "tests")]
 
 import live_scenes  # noqa: E402
+from appearances import Appearance, appearances, scene  # noqa: E402
 from shaped_link import ShapedLink  # noqa: E402
 
-from heliograph.link.modulations import modulation  # noqa: E402
-from heliograph.messages import Health, Identification, Message, Tracks  # noqa: E402
+from heliograph.core import Context  # noqa: E402
+from heliograph.messages import Health, Identification, Message, Status, Tracks  # noqa: E402
 from heliograph.shell.bus import Bus, connected  # noqa: E402
 from heliograph.shell.links import client_config  # noqa: E402
 from heliograph.shell.process import Stop  # noqa: E402
 from heliograph.shell.site import BusLinks  # noqa: E402
+from heliograph.streams import Events, Onsets  # noqa: E402
 from heliograph.wire import SCHEMAS, Header  # noqa: E402
-from heliograph_services.event_source.simulation.world.crowd import sendable  # noqa: E402
-from heliograph_services.event_source.simulation.world.load import load_scenario  # noqa: E402
+from heliograph_services.decoder.config import DecoderConfig  # noqa: E402
+from heliograph_services.decoder.core import make_core as make_decoder  # noqa: E402
+from heliograph_services.event_source.config import EventSourceConfig  # noqa: E402
+from heliograph_services.event_source.stream import open_stream  # noqa: E402
+from heliograph_services.tracker.config import TrackerConfig  # noqa: E402
+from heliograph_services.tracker.core import make_core as make_tracker  # noqa: E402
 from support.processes import Host, free_port  # noqa: E402
 
 RESULT: Final = Path(__file__).parent / "results" / "acquisition.json"
-BIT_RATE: Final = 2_000
-SWITCHED, COVERED = 24, 12
-ON_S, DARK_S = 0.8, (3.0, 4.2)
-BOARD_SPEED_M_S: Final = 2.5
 # A region's centre is within a pixel or two; the next beacon is 70 px away.
 MATCH_PX: Final = 10.0
-# Before and after, processes warm up, or an appearance has no time.
-FIRST_S, LAST_S = 2.0, 1.2
-GOAL_MS = {"host": 60.0, "link": 200.0, "link25": 200.0}
-
-# A field of 7 x 6 places 0.9 m (72 px) apart, under boards 7 m long that run along two of its rows.
-BOARD: Final = """
-[[asset]]
-name = "board{i}"
-size_m = [7.0, 0.5]
-path = {{ kind = "shuttle", from_m = [{begin}, {y}, 0.3], to_m = [{end}, {y}, 0.3], speed_m_s = {speed}, turn_s = 0.1 }}
-"""
-CAMERA: Final = """
-irradiance_w_m2 = 2.0
-[camera]
-sensor = "dvxplorer_mini"
-mode = "VARIABLE_15000"
-path = { kind = "still", at_m = [0.0, 0.0, 5.0] }
-"""
-BEACON: Final = """
-[[beacon]]
-name = "b{i:02d}"
-protocol = "seed11"
-bit_rate = {rate}
-{sends}
-intensity_w_sr = 0.1
-diameter_m = 0.01
-path = {{ kind = "still", at_m = [{x:.3f}, {y:.3f}, 0.02] }}
-"""
-
-
-@dataclass(frozen=True, slots=True)
-class Appearance:
-    """A beacon comes into view at t_us of the camera, for so long."""
-
-    payload: int
-    kind: str
-    t_us: float
-    until_us: float
-    x_px: float
-    y_px: float
+GOAL_MS = {"host": 60.0, "link": 200.0, "link25": 200.0, "cores": 60.0, "cores-link": 200.0}
+LIVE: Final = Context(instance="bench", boot="bench", lockstep=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,81 +82,6 @@ class Heard:
 
     arrived_s: float
     message: Message
-
-
-# ---- the scene -------------------------------------------------------------------------------------------------------
-
-
-def scene(seed: int, seconds: float, folder: Path) -> Path:
-    """Write the scenario and the switched beacons' edges; return its file."""
-    rng = np.random.default_rng([seed, 2_000])
-    payloads = rng.permutation(sendable("seed11", {}))[: SWITCHED + COVERED]
-    text = [CAMERA]
-    for i, y in enumerate((-1.35, 1.35)):
-        # Each begins beside the field, at either end.
-        text.append(BOARD.format(i=i, y=y, begin=-8.0 + 16.0 * i, end=8.0 - 16.0 * i, speed=BOARD_SPEED_M_S))
-    rows = {"switched": (-2.25, -0.45, 0.45, 2.25), "covered": (-1.35, 1.35)}
-    places = [(kind, x, y) for kind, ys in rows.items() for y in ys for x in (np.arange(6) - 2.5) * 1.2]
-    for i, ((kind, x, y), payload) in enumerate(zip(places, payloads, strict=True)):
-        sends = f"payload = {payload}\nstart_us = {rng.integers(0, 5_500)}"
-        if kind == "switched":
-            file = folder / f"b{i:02d}.csv"
-            file.write_text(edges(int(payload), seconds, rng))
-            sends = f'edges = "{file}"'
-        jitter = rng.uniform(-0.1, 0.1, 2) * (kind == "switched", kind == "switched")
-        text.append(BEACON.format(i=i, rate=BIT_RATE, sends=sends, x=x + jitter[0], y=y + jitter[1]))
-    path = folder / "scene.toml"
-    path.write_text("".join(text))
-    (folder / "payloads.json").write_text(json.dumps([int(p) for p in payloads]))
-    return path
-
-
-def edges(payload: int, seconds: float, rng: np.random.Generator) -> str:
-    """Return a beacon's edges: off, then frames for ON_S from a random instant on, again and again."""
-    bits = np.array(modulation("seed11").encode(payload))
-    frames = round(ON_S * BIT_RATE / len(bits))
-    level = np.concatenate([[0], np.tile(bits, frames), [0]])
-    change = np.flatnonzero(np.diff(level)) + 1
-    lines, t_s = ["t_ns,level"], float(rng.uniform(0.5, 4.5))
-    while t_s < seconds:
-        lines += [f"{round(1e9 * (t_s + (k - 1) / BIT_RATE))},{level[k]}" for k in change]
-        t_s += ON_S + float(rng.uniform(*DARK_S))
-    return "\n".join(lines)
-
-
-def appearances(path: Path, seed: int, seconds: float) -> list[Appearance]:
-    """Return the appearances that a run is scored by, from the simulation's own world."""
-    world = _world(path, seed)
-    payloads = json.loads((path.parent / "payloads.json").read_text())
-    t_us = np.arange(0.0, seconds * 1e6, 1_000.0)
-    seen = world.seen_all(t_us)
-    found: list[Appearance] = []
-    for i, payload in enumerate(payloads):
-        x, y = float(seen.x_px[i, 0]), float(seen.y_px[i, 0])
-        if i < SWITCHED:
-            lines = (path.parent / f"b{i:02d}.csv").read_text().splitlines()[1:]
-            edge_us = np.array([float(line.partition(",")[0]) for line in lines]) / 1e3
-            first = np.flatnonzero(np.diff(edge_us, prepend=-1e9) > 1e6)
-            last = np.append(first[1:], len(edge_us)) - 1
-            found += [
-                Appearance(payload, "switched", a, b, x, y) for a, b in zip(edge_us[first], edge_us[last], strict=True)
-            ]
-        else:
-            clear = np.asarray(seen.visible[i]).astype(np.int8)
-            step = np.diff(clear, prepend=1, append=0)
-            begins, ends = np.flatnonzero(step == 1), np.flatnonzero(step == -1)
-            found += [
-                Appearance(payload, "uncovered", float(t_us[a]), float(t_us[ends[ends > a][0] - 1]), x, y)
-                for a in begins
-            ]
-    chosen = [a for a in found if FIRST_S * 1e6 <= a.t_us <= (seconds - LAST_S) * 1e6]
-    return sorted(chosen, key=lambda a: a.t_us)
-
-
-def _world(path: Path, seed: int) -> Any:
-    from heliograph_services.event_source.simulation.stream import SceneStream  # noqa: PLC0415 - compiles
-
-    return SceneStream(load_scenario(str(path)), seed, "full", 0.0, lambda _: None).world
 
 
 # ---- the processes ---------------------------------------------------------------------------------------------------
@@ -309,10 +203,60 @@ def run(arm: str, folder: Path, file: Path, seconds: float, settings: dict[str, 
     }
 
 
+class Unclocked:
+    """What a client hears of the same cores in one process, by camera time.
+
+    Args:
+        file: the recording.
+        delay_s: from source to tracker, and from the tracker to the decoder and back.
+        settings: of the services, as for `run`.
+    """
+
+    def __init__(self, file: Path, delay_s: float, settings: dict[str, str]) -> None:
+        self.heard: list[Heard] = []
+        self.origin_s, self.origins = 0.0, [0.0]
+        given = {name: tomllib.loads(settings.get(name, "")) for name in ("source", "tracker", "decoder")}
+        source = {"backend": "recording", "file": str(file)} | given["source"]
+        decoder = {"protocol": "seed11", "bit_rate": 2000.0} | given["decoder"]
+        self._tracker = make_tracker(msgspec.convert(given["tracker"], TrackerConfig), LIVE)
+        self._decoder = make_decoder(msgspec.convert(decoder, DecoderConfig), LIVE)
+        self._delay_us = round(1e6 * delay_s)
+        self._under_way: list[tuple[int, int, Message]] = []
+        self._sent = 0
+        for step in open_stream(msgspec.convert(source, EventSourceConfig), LIVE):
+            for message in step.messages:
+                if isinstance(message, Onsets):
+                    self._send(message, step.t1_us)
+            self._deliver(step.t1_us)
+            for message in step.messages:
+                if isinstance(message, Events):
+                    self._publish(self._decoder.feed(message), step.t1_us)
+            self._deliver(step.t1_us)
+
+    def _send(self, message: Message, now_us: int) -> None:
+        heapq.heappush(self._under_way, (now_us + self._delay_us, self._sent, message))
+        self._sent += 1
+
+    def _deliver(self, until_us: int) -> None:
+        while self._under_way and self._under_way[0][0] <= until_us:
+            now_us, _, message = heapq.heappop(self._under_way)
+            core = self._decoder if isinstance(message, Tracks) else self._tracker
+            if isinstance(message, Tracks):
+                self.heard.append(Heard(now_us / 1e6, message))
+            self._publish(core.feed(message), now_us)
+
+    def _publish(self, messages: list[Message], now_us: int) -> None:
+        for message in messages:
+            if isinstance(message, (Tracks, Status)):
+                self._send(message, now_us)
+            elif isinstance(message, Identification):
+                self.heard.append(Heard(now_us / 1e6, message))
+
+
 # ---- scoring ---------------------------------------------------------------------------------------------------------
 
 
-def scored(wanted: list[Appearance], client: Client) -> tuple[list[dict[str, Any]], int]:
+def scored(wanted: list[Appearance], client: Client | Unclocked) -> tuple[list[dict[str, Any]], int]:
     """Return a row an appearance, and how many acceptances fit none."""
     zero_s = client.origin_s
     accepted = [
@@ -402,8 +346,12 @@ def study(arm: str, seeds: list[int], seconds: float, settings: dict[str, str]) 
             wanted = appearances(path, seed, seconds)
             file = folder / "scene.npz"
             live_scenes.write_recording(file, live_scenes.events_of(str(path), seed, seconds), 640, 480)
-            heard = run(arm, folder, file, seconds, settings)
-        client: Client = heard.pop("client")
+            heard: dict[str, Any] = {}
+            if arm.startswith("cores"):
+                client: Client | Unclocked = Unclocked(file, 0.05 if arm == "cores-link" else 0.0, settings)
+            else:
+                heard = run(arm, folder, file, seconds, settings)
+                client = heard.pop("client")
         found, wrong = scored(wanted, client)
         rows += found
         late = np.array(client.origins) - client.origin_s
