@@ -48,9 +48,9 @@ MOVES: Final = ("slow", "fast")
 REPEATS: Final = {
     "moving": 1, "identities": 1, "crowd": 1, "crossings": 50, "occlusions": 11, "handheld": 3, "spin": 1,
 }  # fmt: skip
-# Measured on one core: CPU seconds of a run, all readers together.
+# CPU seconds of a run, all readers together; of crowd and spin a guess from shorter runs of the like.
 CPU_S: Final = {
-    "moving": 14.0, "identities": 130.0, "crowd": 150.0, "crossings": 2.0, "occlusions": 5.0, "handheld": 50.0,
+    "moving": 14.0, "identities": 130.0, "crowd": 150.0, "crossings": 2.0, "occlusions": 5.0, "handheld": 110.0,
     "spin": 60.0,
 }  # fmt: skip
 
@@ -84,7 +84,7 @@ def plan(study: str, first: int, n: int, *, told: bool) -> list[Row]:
             for camera in ("still", "panning")
         ]
     else:
-        conditions = [{"seconds": {"crowd": 30.0, "handheld": 30.0, "spin": 40.0}[study]}]
+        conditions = [{"seconds": {"crowd": 30.0, "handheld": 15.0, "spin": 40.0}[study]}]
     runs = [dict(condition) for _ in range(n) for condition in conditions]
     for i, run in enumerate(runs):
         run["seed"] = first + i
