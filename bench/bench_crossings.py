@@ -1,7 +1,7 @@
 """How many scripted crossings two beacons survive with their names.
 
 By position alone: no code, no flow; or with `--read` with the decoder in the loop, which says who is who: the scenes'
-raw events go through source, tracker and decoder in lockstep, and where both beacons had one word the second has another.
+raw events go through source, tracker and decoder in lockstep, and where both had one word the second has another.
 
 Ideal pixels (`tests/support/crossings.py`): discs of 2 to 4 px radius in the middle of 640 x 480 pixels, 0 to 2 px
 apart when they meet, 20 kev/s of noise, 95 % of the events seen; one of four words each, at one of four bit rates.
