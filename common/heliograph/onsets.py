@@ -8,7 +8,7 @@ Gate "open": every pooled pixel with an event is an entry. Gate "active": of the
 pooled pixels of this tick and of the tick before, at least m events lie, their own included; what stands alone in
 space and time is noise, and is counted. m follows the noise of the stream itself, lambda events a pixel and tick::
 
-    m       the least m >= min_events, at most 5, with   R P(N(lambda) >= 1) P(N(17 lambda) >= m - 1) <= noise_hz
+    m       the least m >= min_events, at most 8, with   R P(N(lambda) >= 1) P(N(17 lambda) >= m - 1) <= noise_hz
     lambda  of `EPOCH_US`: the lower quartile of the events in blocks of 32x32 pixels, smoothed
 
 N is Poisson's, R is pixels times ticks a second, so about noise_hz entries of noise a second pass; texture everywhere
@@ -44,9 +44,9 @@ TICKS_LIMIT: Final = 65_535
 EPOCH_US: Final = 100_000
 BLOCK_SHIFT: Final = 5
 SMOOTHING: Final = 0.25
-# The gate asks for no more than a tracker does of a target's core (its min_events): 4 px that fire once pass 1 Mev/s of
-# VGA noise as they pass none. Noise beyond 2 Mev/s then passes too, as pixels that are not light.
-THRESHOLD_LIMIT: Final = 5
+# 4 px that fire twice, the faintest target that a tracker may find under noise of 2 Mev/s and more of VGA; up to there
+# m is 5 or less, a tracker's own min_events. It keeps 5 Mev/s of noise to 2,600 entries a second; 5 let 240,000 pass.
+THRESHOLD_LIMIT: Final = 8
 
 # Kernel tables, indices and masks; a de Bruijn sequence gives the place of a word's only bit, for which numba has no
 # instruction: 64 different windows of 6 bits (any B(2, 6) does).
