@@ -161,11 +161,11 @@ def test_what_is_not_wanted_is_left_out_and_nothing_else(l_tau: float) -> None:
 def test_the_runtime_of_torch_gives_the_same_spikes_as_the_fast_ones_through_gaps_too(l_tau: float) -> None:
     pytest.importorskip("torch", reason="torch is not installed (extra [reference])")
     pytest.importorskip("nir", reason="nir is not installed (extra [reference])")
-    from heliograph_services.tracker.reference.flow import TorchRuntime  # noqa: PLC0415
+    from heliograph_services.tracker.reference.flow import runtime as torch_runtime  # noqa: PLC0415
 
     network = paper_network(l_tau)
     rng = np.random.default_rng(9)
-    ours, reference = runtimes(network, 70, 9), TorchRuntime(network, 70, 9)
+    ours, reference = runtimes(network, 70, 9), torch_runtime(network, 70, 9)
     total = 0
     for t, x in enumerate(images(70, 9, 60, seed=10)):
         wanted = rng.choice(np.array([0, 1, 8], np.uint8), (9, 2)) if t % 2 else None

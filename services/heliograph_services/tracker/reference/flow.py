@@ -23,6 +23,7 @@ from heliograph.streams import Onsets
 from heliograph_services.tracker.config import TrackerConfig
 from heliograph_services.tracker.flow.network import REACH, SIDE, FlowNetwork
 from heliograph_services.tracker.flow.spikes import NO_PIXELS, NO_SPIKES, TICKS, Runtime, Spikes
+from heliograph_services.tracker.flow.tables import NEGLIGIBLE
 from heliograph_services.tracker.flow.torch_net import TorchNetwork
 from heliograph_services.tracker.motion import Motion
 from heliograph_services.tracker.network_motion import make_with
@@ -61,8 +62,13 @@ class DenseRuntime:
 
     def skip(self, ticks: int) -> list[Spikes]:
         """Pass so many ticks without input; return the spikes of the first that can have any."""
-        # What decays for longer than the delays stays below the threshold.
-        return [self.step(NO_PIXELS, NO_PIXELS) for _ in range(min(ticks, TICKS))]
+        spikes = [self.step(NO_PIXELS, NO_PIXELS) for _ in range(min(ticks, TICKS))]
+        # What decays for longer than the delays stays below the threshold; it goes on decaying until nothing is left.
+        for _ in range(ticks - TICKS):
+            if self._network.s is None or float(self._network.s.abs().max()) < NEGLIGIBLE:
+                break
+            self.step(NO_PIXELS, NO_PIXELS)
+        return spikes
 
 
 class TileRuntime:
