@@ -27,7 +27,7 @@ Both are learned on other data (driving, recorded), give dense flow, and ran on 
 comparable with the tables above.
 
 - E-RAFT (Gehrig et al., 3DV 2021; [project page](https://rpg.ifi.uzh.ch/ERAFT.html)): end-point error lower by 23 % on
-  MVSEC and by 66 % on DSEC than what it was compared with there. It needs a GPU.
+  MVSEC and by 66 % on DSEC than what it was compared with there.
 - Schnider et al. 2023 (*Neuromorphic optical flow and real-time implementation with event cameras*; the paper names it
   beside its own network): a deep spiking network, trained on the same kind of data. We found no figure
   that we could check, and give none.
