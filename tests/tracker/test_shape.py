@@ -131,7 +131,7 @@ def test_targets_keep_the_order_of_their_clusters_and_count_both_polarities() ->
     active = Active(*(np.array(c, np.int32) for c in ([1, 9, 2, 8], [1, 9, 1, 9], [3, 0, 1, 0], [0, 2, 0, 7])))
     labels = np.array([1, 0, 1, 0], np.int32)
     found = shape.measure(active, labels, np.zeros(2, np.bool_), 1, ShapeFilter(1, 9, 0.1, "distinct"))
-    assert found.x_px.tolist() == [8.5, 1.5]
+    assert found.x_px.tolist() == [(9 * 2 + 8 * 7) / 9, (1 * 3 + 2) / 4]
     assert found.on.tolist() == [0, 4]
     assert found.off.tolist() == [9, 0]
 
