@@ -2,10 +2,11 @@
 
     python bench/study_tracker.py moving|identities|crowd|crossings|occlusions|handheld|spin|all
         [--cost] [--first 1000] [--n N] [--jobs 2] [--folder bench/results/tracker] [--summary] [--told]
+        [--page docs/tracker.md]
 
 One run is one line of FOLDER/STUDY.jsonl; a study that is broken off goes on where it was, unless the code under it has
 changed (a hash of it is in every line). `--cost` prints what a study would take; `--summary` only sums up what is
-there. Seeds from 1000 on; 0 to 99 are for development (`--first 0`).
+there; `--page` writes the page of all studies. Seeds from 1000 on; 0 to 99 are for development (`--first 0`).
 
 moving      20 beacons, a new payload for every frame: MAR_sent of ours and the genie's, paired, outside and inside
             close pairs; wrong frames; places; where frames were lost. seed11 at six rates, two sensors, 0 to 400 and
@@ -27,6 +28,7 @@ import hashlib
 import json
 import multiprocessing
 import os
+import subprocess
 import sys
 import time
 from collections.abc import Iterable
@@ -36,7 +38,7 @@ from typing import Any, Final
 
 import heliograph
 import heliograph_services
-from heliograph_services.cli.studies import tracker_tables
+from heliograph_services.cli.studies import tracker_page, tracker_tables
 from heliograph_services.cli.studies.crowds import KINDS, RATES
 from heliograph_services.cli.studies.tracker_rows import RUNS
 
@@ -103,6 +105,15 @@ def code_hash() -> str:
     return digest.hexdigest()[:12]
 
 
+def commit() -> str:
+    """Return the commit that is checked out, `-dirty` if changed; `unknown` outside a clone."""
+    asked = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--exclude", "*"]
+    try:
+        return subprocess.run(asked, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+
+
 def stored(path: Path, code: str | None) -> list[Row]:
     """Return the rows of a file: those of this code, or all."""
     if not path.exists():
@@ -121,12 +132,12 @@ def execute(study: str, runs: Iterable[Row], path: Path, code: str, jobs: int) -
     done = {json.dumps(row["run"], sort_keys=True) for row in stored(path, code)}
     left = [run for run in runs if json.dumps(run, sort_keys=True) not in done]
     path.parent.mkdir(parents=True, exist_ok=True)
-    began_s = time.monotonic()
+    began_s, head = time.monotonic(), {"study": study, "code": code, "commit": commit(), "evidence": "simulated"}
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, mp_context=context) as pool, path.open("a", encoding="utf-8") as file:
         waiting = {pool.submit(one, study, run): run for run in left}
         for i, future in enumerate(as_completed(waiting), 1):
-            row = {"study": study, "code": code, "evidence": "simulated", "run": waiting[future], **future.result()}
+            row = {**head, "run": waiting[future], **future.result()}
             file.write(json.dumps(row) + "\n")
             file.flush()
             took_s = time.monotonic() - began_s
@@ -146,6 +157,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path(__file__).parent / "results" / "tracker")
     parser.add_argument("--summary", action="store_true", help="sum up what is there, of whatever code")
     parser.add_argument("--told", action="store_true", help="moving: also the decoder that is told the truth")
+    parser.add_argument("--page", type=Path, help="where the page of all studies is written")
     arguments = parser.parse_args()
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     code = code_hash()
@@ -161,6 +173,9 @@ def main() -> None:
             execute(study, runs, path, code, arguments.jobs)
         rows = stored(path, None if arguments.summary else code)
         print("\n".join(tracker_tables.lines(study, rows)), flush=True)
+    if arguments.page and not arguments.cost:
+        found = {study: stored(arguments.folder / f"{study}.jsonl", None) for study in RUNS}
+        arguments.page.write_text(tracker_page.page(found), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -13,12 +13,12 @@ from scipy import stats
 from heliograph.events import concatenate
 from heliograph.messages import Frames, Identification, Message
 from heliograph.streams import Events
-from heliograph_services.cli.studies import crowds, holding, tracker_rows, tracker_tables
+from heliograph_services.cli.studies import crowds, holding, tracker_page, tracker_rows, tracker_tables
 from heliograph_services.cli.studies.blocks import difference, lower_bound, share
 from heliograph_services.cli.studies.genie import CORE_PX, hearer
 from heliograph_services.cli.studies.paths import TruePaths, true_paths
 from heliograph_services.cli.studies.running import Episode, Said, Setting, episode, opened, run
-from heliograph_services.cli.studies.verdicts import RIGHT, WRONG, sent_frames, verdicts
+from heliograph_services.cli.studies.verdicts import RIGHT, WRONG, sent_frames, tracked, verdicts
 from heliograph_services.event_source.cameras.simulated import SimulatedCamera
 from heliograph_services.event_source.simulation.stream import SceneStream
 from heliograph_services.event_source.simulation.world.load import load_scenario
@@ -201,3 +201,36 @@ def test_every_table_can_be_made_of_its_rows(seen: Episode) -> None:
     assert sum(block[2] for name in ("out", "in") for block in row[name]) == sent.visible.sum()
     assert f"frames {sent.visible.sum()}" in next(line for line in table if "all visible" in line)
     assert json.loads(json.dumps(row)) == row
+
+
+def test_a_told_track_is_near_its_beacon_carried_on_or_not(seen: Episode) -> None:
+    sent = sent_frames(seen.truths, seen.paths)
+    for carried in (True, False):
+        assert tracked(sent, seen.said["told"].tracks, seen.paths, carried=carried)[sent.visible].all()
+        assert not tracked(sent, [], seen.paths, carried=carried).any()
+
+
+def test_the_page_answers_by_value_and_by_bound_and_never_mixes_two_codes() -> None:
+    def crossing(kept: bool, code: str) -> tracker_page.Row:
+        run = {"seed": 1, "kind": "head_on", "bit_rate": 1000.0}
+        came = {"numbers": "kept" if kept else "swapped", "read": kept, "swaps": 0}
+        return {"run": run, "code": code, "seconds": 1.0, "cpu_s": {"ours": 1.0}, **came}
+
+    few = [crossing(False, "old")] * 50 + [crossing(True, "new")] * 50
+    many = [crossing(True, "new")] * 200
+    bad = [crossing(True, "new")] * 97 + [crossing(False, "new")] * 3
+    for rows, n, met in ((few, 50, "value only"), (many, 200, "yes"), (bad, 100, "no")):
+        text = tracker_page.page({"crossings": rows, "crowd": []})
+        line = next(line for line in text.splitlines() if line.startswith("| crossings | both"))
+        assert line.endswith(f"| {n} | {met} |")
+        assert "## crowd\n\nNot run." in text
+
+
+def test_the_page_of_a_real_run_tells_its_difference_to_the_genie_and_its_commit(seen: Episode) -> None:
+    run = {"seed": 5, "sensor": "mini", "move": "slow", "bit_rate": 2000.0, "background": "noise"}
+    row = tracker_rows.frames_row(seen) | {"run": run, "code": "c", "commit": "1234abc"}
+    text = tracker_page.page({"moving": [row]})
+    sent = sum(block[2] for block in row["out"])
+    assert "Commit 1234abc." in text
+    assert f"| {sent} frames, 1 runs |" in text
+    assert "| noise mini slow | 2000 | outside close pairs |" in text

@@ -85,7 +85,7 @@ def spin(seed: int, seconds: float) -> Row:
     said = episode(_setting(text, seed, seconds, 1000.0), ("ours", "told", "genie"))
     sent = sent_frames(said.truths, said.paths)
     found = {name: verdicts(sent, one.frames, said.paths) for name, one in said.said.items()}
-    near = tracked(sent, said.said["ours"].tracks, said.paths)
+    near = tracked(sent, said.said["ours"].tracks, said.paths, carried=False)
     bins = []
     for low, high in pairwise(SPEEDS):
         of = sent.visible & (sent.speed_px_s >= low) & (sent.speed_px_s < high)

@@ -31,7 +31,8 @@ def lines(study: str, rows: Sequence[Row]) -> list[str]:
     return [head, *_TABLES[study](rows), ""]
 
 
-def _grouped(rows: Sequence[Row], *names: str) -> dict[str, list[Row]]:
+def grouped(rows: Sequence[Row], *names: str) -> dict[str, list[Row]]:
+    """Return the rows by these arguments of their runs, joined by spaces, in the order of the texts."""
     groups: dict[str, list[Row]] = defaultdict(list)
     for row in rows:
         groups[" ".join(f"{row['run'][name]:g}" if name == "bit_rate" else row["run"][name] for name in names)].append(
@@ -40,7 +41,7 @@ def _grouped(rows: Sequence[Row], *names: str) -> dict[str, list[Row]]:
     return dict(sorted(groups.items()))
 
 
-def _columns(rows: Sequence[Row], classes: Sequence[str], reader: str) -> npt.NDArray[np.int64]:
+def columns(rows: Sequence[Row], classes: Sequence[str], reader: str) -> npt.NDArray[np.int64]:
     """Return (3, k): sent, right and wrong of a reader, by block of a beacon and a second."""
     blocks: dict[tuple[int, int, int], npt.NDArray[np.int64]] = {}
     for i, row in enumerate(rows):
@@ -56,19 +57,19 @@ def _mar(rows: Sequence[Row]) -> list[str]:
     """Return the lines of one group: classes, readers, the difference."""
     out = []
     for classes, title in ((("out",), "outside close pairs"), (("in",), "inside"), (("out", "in"), "all visible")):
-        sent, right, wrong = _columns(rows, classes, "ours")
+        sent, right, wrong = columns(rows, classes, "ours")
         if not sum(sent):
             continue
         text = f"  {title:<20} ours {share(right, sent)}"
         for other in ("told", "genie"):
             if all(other in row["readers"] for row in rows):
-                _, others, wrong_others = _columns(rows, classes, other)
+                _, others, wrong_others = columns(rows, classes, other)
                 text += f"  {other} {sum(others) / sum(sent):.4f} (wrong {sum(wrong_others) / sum(sent):.5f})"
                 if other == "genie":
                     text += f"  ours - genie {difference(right, others, sent)}"
         out.append(f"{text}  wrong {share(wrong, sent)}  frames {sum(sent)}, blocks {len(sent)}")
     published, insertions = (sum(row["published"]["ours"][i] for row in rows) for i in (0, 1))
-    wrong_all = int(_columns(rows, ("out", "in"), "ours")[2].sum())
+    wrong_all = int(columns(rows, ("out", "in"), "ours")[2].sum())
     lost: Counter[str] = Counter()
     for row in rows:
         lost.update(row["lost"])
@@ -83,11 +84,27 @@ def _mar(rows: Sequence[Row]) -> list[str]:
     return out
 
 
+def clear_of(rows: Sequence[Row], which: str) -> Clear:
+    """Return the counts of CLEAR MOT of all runs together."""
+    return sum((Clear(**row[which]["clear"]) for row in rows), Clear())
+
+
+def firsts_ms(rows: Sequence[Row]) -> list[float]:
+    """Return when each beacon of each run was first identified, infinite where never."""
+    return [math.inf if t is None else t / 1e3 for row in rows for t in row["first_us"]]
+
+
+def occluded(rows: Sequence[Row]) -> tuple[int, int, int, Counter[str]]:
+    """Return how many were kept, of how many that were read before; how many were not; and what became of the rest."""
+    found = Counter(one["outcome"] for row in rows for one in row["beacons"])
+    late = found.pop("late", 0)
+    n, kept = sum(found.values()), found.pop("kept", 0)
+    return kept, n, late, found
+
+
 def _tracks(rows: Sequence[Row], which: str) -> str:
-    clear, identity = Clear(), Identity()
-    for row in rows:
-        clear += Clear(**row[which]["clear"])
-        identity += Identity(**row[which]["identity"])
+    clear = clear_of(rows, which)
+    identity = sum((Identity(**row[which]["identity"]) for row in rows), Identity())
     instants = sum(row[which]["instants"] for row in rows)
     gospa = sum(row[which]["gospa_px"] * row[which]["instants"] for row in rows) / max(instants, 1)
     lags = [row[which]["lag_us"] for row in rows if row[which]["lag_us"] is not None]
@@ -101,7 +118,7 @@ def _tracks(rows: Sequence[Row], which: str) -> str:
 def _moving(rows: Sequence[Row]) -> list[str]:
     out = []
     for names in (("background", "sensor", "move"), ("background", "sensor", "move", "bit_rate")):
-        for name, group in _grouped(rows, *names).items():
+        for name, group in grouped(rows, *names).items():
             out += [name, *_mar(group)]
             if "bit_rate" not in names:
                 out += [_tracks(group, "tracks_all"), _tracks(group, "tracks_valid")]
@@ -110,13 +127,13 @@ def _moving(rows: Sequence[Row]) -> list[str]:
 
 def _identities(rows: Sequence[Row]) -> list[str]:
     out = []
-    for name, group in _grouped(rows, "sensor", "move", "bit_rate").items():
+    for name, group in grouped(rows, "sensor", "move", "bit_rate").items():
         out += [name, *_held(group), _tracks(group, "tracks_all"), _tracks(group, "tracks_valid")]
     return out
 
 
 def _held(rows: Sequence[Row]) -> list[str]:
-    firsts = [math.inf if t is None else t / 1e3 for row in rows for t in row["first_us"]]
+    firsts = firsts_ms(rows)
     states: Counter[str] = Counter()
     for row in rows:
         states.update(row["states"])
@@ -138,7 +155,7 @@ def _crowd(rows: Sequence[Row]) -> list[str]:
 
 def _crossings(rows: Sequence[Row]) -> list[str]:
     out = [f"  {'kind':<14} {'n':>4} {'numbers kept':>18} {'identities right':>22} {'both':>20}  otherwise"]
-    groups = _grouped(rows, "kind")
+    groups = grouped(rows, "kind")
     for name, group in (*groups.items(), ("all", list(rows))):
         n, otherwise = len(group), Counter(row["numbers"] for row in group if row["numbers"] != "kept")
         counts = [
@@ -154,11 +171,9 @@ def _crossings(rows: Sequence[Row]) -> list[str]:
 
 def _occlusions(rows: Sequence[Row]) -> list[str]:
     out = []
-    groups = _grouped(rows, "motion", "camera")
+    groups = grouped(rows, "motion", "camera")
     for name, group in (*groups.items(), ("all", list(rows))):
-        found = Counter(one["outcome"] for row in group for one in row["beacons"])
-        late = found.pop("late", 0)
-        n, kept = sum(found.values()), found.pop("kept", 0)
+        kept, n, late, found = occluded(group)
         bound = lower_bound(kept, n) if n else math.nan
         out.append(
             f"  {name:<18} kept {kept} of {n}: {kept / max(n, 1):.3f} (> {bound:.3f})"

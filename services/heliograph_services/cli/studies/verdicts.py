@@ -129,23 +129,31 @@ def verdicts(sent: Sent, frames: Sequence[Frames], paths: TruePaths) -> Verdicts
     return Verdicts(outcome, off_px, int(inside.sum()), int((inside & ~matched).sum()))
 
 
-def tracked(sent: Sent, tracks: Sequence[Tracks], paths: TruePaths) -> Flags:
-    """Return (n,) bool: whether the newest Tracks at each frame's end, carried on, had one within the beacon's gate."""
+def tracked(sent: Sent, tracks: Sequence[Tracks], paths: TruePaths, *, carried: bool = True) -> Flags:
+    """Return (n,) bool: whether the newest Tracks at each frame's end had one within the beacon's gate.
+
+    Args:
+        sent: the frames.
+        tracks: in order.
+        paths: of the beacons.
+        carried: compared where the track's velocity has carried it by the frame's end; else where it was at the
+            message's own instant: on a path that bends within a period nothing is carried along it.
+    """
     out = np.zeros(len(sent.t1_us), np.bool_)
     as_of = np.array([one.as_of_us for one in tracks], np.int64)
     newest = np.searchsorted(as_of, sent.t1_us, side="right") - 1
-    x_px, y_px = paths.places(sent.t1_us)
     for m in np.unique(newest[newest >= 0]):
         one = tracks[int(m)]
         if not one.track:
             continue
         rows = np.flatnonzero(newest == m)
-        ahead = (sent.t1_us[rows, None] - one.as_of_us) / 1e6
-        dx = np.array(one.x_px) + ahead * np.array(one.vx_px_s) - x_px[sent.beacon[rows], rows][:, None]
-        dy = np.array(one.y_px) + ahead * np.array(one.vy_px_s) - y_px[sent.beacon[rows], rows][:, None]
-        out[rows] = (
-            np.hypot(dx, dy) <= gates_px(paths, sent.t1_us[rows])[sent.beacon[rows], range(len(rows)), None]
-        ).any(axis=1)
+        of, column = sent.beacon[rows], np.arange(len(rows))
+        t_us = sent.t1_us[rows] if carried else np.full(len(rows), one.as_of_us)
+        x_px, y_px = paths.places(t_us)
+        ahead = (t_us[:, None] - one.as_of_us) / 1e6
+        dx = np.array(one.x_px) + ahead * np.array(one.vx_px_s) - x_px[of, column][:, None]
+        dy = np.array(one.y_px) + ahead * np.array(one.vy_px_s) - y_px[of, column][:, None]
+        out[rows] = (np.hypot(dx, dy) <= gates_px(paths, t_us)[of, column][:, None]).any(axis=1)
     return out
 
 
