@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from heliograph.errors import Refusal, Refusals
 from heliograph.events import Flags, Times
-from heliograph.link import clock, demodulator, state
+from heliograph.link import clock, demodulator, level, state
 from heliograph.link.acceptance import Acceptance, Place, frames_needed
 from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Text, Verdict
 from heliograph.link.frames import CyclicCode, bits_of, seed11_code
@@ -58,7 +58,11 @@ class CyclicReceiver:
         self._until_us: int | None = None
         self._since_us: int | None = None  # the first event; later, where the last lock was lost
         self._block = 0  # number of the next block on the absolute grid
-        self._sums = np.zeros((clock.LONG_BLOCKS, 4 * clock.BLOCK_OFFSETS + 1))
+        # Of events, and of the edges of the level that they show.
+        self._sums = np.zeros((2, clock.LONG_BLOCKS, 4 * clock.BLOCK_OFFSETS + 1))
+        self._level_t = np.zeros((clock.LONG_BLOCKS, 4 * clock.BLOCK_BITS))
+        self._level_on = np.zeros((clock.LONG_BLOCKS, 4 * clock.BLOCK_BITS), np.bool_)
+        self._level_n = [0] * clock.LONG_BLOCKS
         self._held_t: Times = np.empty(0, np.int64)
         self._held_on: Flags = np.empty(0, np.bool_)
         self._recent: deque[tuple[int, bool]] = deque(maxlen=8192)  # (end, accepted) of the last second's frames
@@ -139,7 +143,7 @@ class CyclicReceiver:
             first = int(self._held_t[0] // block_us)
             if first >= self._block + clock.LONG_BLOCKS or first < self._block - clock.LONG_BLOCKS:
                 self._block = first
-                self._sums[:] = 0.0
+                self._clear()
             if (self._block + 1) * block_us > until_us:
                 break
             if self._attempt(block_us):
@@ -147,6 +151,11 @@ class CyclicReceiver:
                 self._drop(len(self._held_t))
                 return held
         return t_us[:0], on[:0]
+
+    def _clear(self) -> None:
+        """Forget the blocks that were summed."""
+        self._sums[:] = 0.0
+        self._level_n = [0] * clock.LONG_BLOCKS
 
     def _drop(self, events: int) -> None:
         self._held_t, self._held_on = self._held_t[events:], self._held_on[events:]
@@ -156,9 +165,8 @@ class CyclicReceiver:
         begin_us, end_us = self._block * block_us, (self._block + 1) * block_us
         start, stop = (int(i) for i in np.searchsorted(self._held_t, (begin_us, end_us)))
         self._block += 1
-        self._sums[:-1] = self._sums[1:]
         t: clock.Floats = np.asarray((self._held_t[start:stop] - begin_us) / self._bit_us, np.float64)
-        clock.block(t, self._held_on[start:stop], self._sums[-1])
+        self._take_block(t, self._held_on[start:stop])
         since_us = self._since_us or 0
         if stop > start and end_us - since_us >= WINDOW_LEAST_BITS * self._bit_us:
             windows = [(clock.SHORT_BLOCKS, clock.THRESHOLD_SHORT)]
@@ -170,9 +178,11 @@ class CyclicReceiver:
                 # A young track may be a beacon whose word has few edges: 64 bits of it stay just below the threshold.
                 windows.append((2 * clock.SHORT_BLOCKS, clock.THRESHOLD_LONG))
             for blocks, threshold in windows:
-                f, z = clock.peak(self._sums[-blocks:])
-                if z >= threshold:
-                    return self._lock(f, end_us - blocks * block_us, end_us)
+                peaks = [clock.peak(sums[-blocks:]) for sums in self._sums]
+                if max(z for _, z in peaks) >= threshold and self._lock(
+                    peaks, threshold, end_us - blocks * block_us, end_us, blocks
+                ):
+                    return True
             # Once for a short window's length, so that a light that needs a long one is not given up before.
             if end_us - since_us >= clock.SHORT_BLOCKS * block_us and self._block % clock.SHORT_BLOCKS == 0:
                 self.refusals[Refusal.NO_CLOCK] += 1
@@ -181,18 +191,49 @@ class CyclicReceiver:
         self._drop(max(int(np.searchsorted(self._held_t, keep_us)), stop - WINDOW_EVENTS))
         return False
 
-    def _lock(self, f: float, begin_us: float, end_us: float) -> bool:
-        """Begin with a clock found in a window; the events before it are dropped."""
+    def _take_block(self, t: clock.Floats, on: Flags) -> None:
+        """Sum the next block, its events and the edges of their level."""
+        self._sums[:, :-1] = self._sums[:, 1:]
+        self._level_t[:-1], self._level_on[:-1] = self._level_t[1:], self._level_on[1:]
+        clock.block(t, on, self._sums[0, -1])
+        n = level.edges(t, self._level_t[-1], self._level_on[-1])
+        self._level_n = [*self._level_n[1:], n]
+        clock.block(self._level_t[-1, :n], self._level_on[-1, :n], self._sums[1, -1])
+
+    def _lock(
+        self, peaks: list[tuple[float, float]], threshold: float, begin_us: float, end_us: float, blocks: int
+    ) -> bool:
+        """Begin with a clock found in a window, if what was found is one; the events before it are dropped.
+
+        The edges of a level are no clock unless the bits between them show it.
+        """
         origin_us = int(np.floor(begin_us))
-        self._drop(int(np.searchsorted(self._held_t, begin_us)))
-        stop = int(np.searchsorted(self._held_t, end_us))
-        t = (self._held_t[:stop] - origin_us) / self._bit_us
-        clock.grid(t, self._held_on[:stop], f, (end_us - origin_us) / self._bit_us, self._found, self._folded)
+        start, stop = (int(i) for i in np.searchsorted(self._held_t, (begin_us, end_us)))
+        t = (self._held_t[start:stop] - origin_us) / self._bit_us
+        on, until = self._held_on[start:stop], (end_us - origin_us) / self._bit_us
         last = -1e9 if self._frame_end_us is None else (self._frame_end_us - origin_us) / self._bit_us
-        state.start(self._state, self._folded, self._found, last, self._code)
+        (f, z), (f_level, z_level) = peaks
+        moves = False
+        if z_level >= threshold:
+            edges_t, edges_on = self._level_edges(begin_us - origin_us, blocks)
+            clock.grid(edges_t, edges_on, f_level, until, self._found, self._folded)
+            moves = level.start(t, on, until, self._found, self._state.model, self._state.seen)
+        if not moves:
+            if z < threshold:
+                return False
+            clock.grid(t, on, f, until, self._found, self._folded)
+        self._drop(start)
+        state.start(self._state, None if moves else self._folded, self._found, last, self._code)
         self._origin_us = origin_us
         self._locks += 1
         return True
+
+    def _level_edges(self, begin_us: float, blocks: int) -> tuple[clock.Floats, Flags]:
+        """Return the edges of the level in the newest blocks, which begin at begin_us from the origin."""
+        first = begin_us / self._bit_us
+        rows = range(clock.LONG_BLOCKS - blocks, clock.LONG_BLOCKS)
+        t = [self._level_t[row, : self._level_n[row]] + first + i * clock.BLOCK_BITS for i, row in enumerate(rows)]
+        return np.concatenate(t), np.concatenate([self._level_on[row, : self._level_n[row]] for row in rows])
 
     def _follow(self, t_us: Times, on: Flags, until_us: int, out: list[LinkFrame | Text]) -> tuple[Times, Flags]:
         """Demodulate; return the events that are left when the clock is lost."""
@@ -214,7 +255,7 @@ class CyclicReceiver:
                 self._since_us = origin_us + int(np.ceil(lost * self._bit_us))
                 self._origin_us = None
                 self._block = int(self._since_us // (clock.BLOCK_BITS * self._bit_us))
-                self._sums[:] = 0.0
+                self._clear()
                 break
         return t_us[done:], on[done:]
 

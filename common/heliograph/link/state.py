@@ -120,12 +120,12 @@ def new_state(code: CyclicCode) -> State:
     )
 
 
-def start(state: State, folded: Floats, found: Floats, last_end: float, code: CyclicCode) -> None:
+def start(state: State, folded: Floats | None, found: Floats, last_end: float, code: CyclicCode) -> None:
     """Begin with a new lock.
 
     Args:
         state: to be set.
-        folded: (2, SUB) and
+        folded: (2, SUB) of `heliograph.link.clock.grid`; None where the model is set already (`heliograph.link.level`).
         found: (4,) of `heliograph.link.clock.grid`.
         last_end: end of the last published frame, in bits from the new origin.
         code: its words, as in `new_state`.
@@ -140,5 +140,6 @@ def start(state: State, folded: Floats, found: Floats, last_end: float, code: Cy
     state.facts[:] = 0.0
     state.counts[:] = 0
     state.sums[:] = 0.0
-    response.start(folded, found[3], state.model, state.seen)
+    if folded is not None:
+        response.start(folded, found[3], state.model, state.seen)
     response.tabulate(state.model, state.logs, state.total, state.core, state.share, state.figures)
