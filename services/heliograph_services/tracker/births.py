@@ -2,22 +2,33 @@
 
 A birth's velocity is not known; its standard deviation on each axis is `initial_speed_px_s`, and for a disc that swept
 over L pixels in the window W also L / W: a fast light is expected anywhere ahead or behind (`shape`).
+
+A light that is found where a track was lost is that track: lost at the time t_0 with the radius R, it may at t lie
+within R + min(a (t - t_0)^2 / 2, gate_px) of where it was expected, if it was not seen since the birth began.
 """
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 import numpy.typing as npt
 
+from heliograph.units import US_PER_S
 from heliograph_services.tracker import association
 from heliograph_services.tracker.config import TrackerConfig
 from heliograph_services.tracker.shape import BOTH_SHARE, Targets
 from heliograph_services.tracker.sighting import Rule, signs
-from heliograph_services.tracker.tracks import Numbers, TrackTable
+from heliograph_services.tracker.tracks import UNNAMED, Numbers, TrackTable
 from heliograph_services.tracker.windows import Window
 
 Floats = npt.NDArray[np.float64]
 Longs = npt.NDArray[np.int64]
+
+# A hand trembles by 1.7 px at 8 to 12 Hz, with f = 390 px: up to 2.5 times 4,300 to 9,700 px/s2, most of it less.
+TREMOR_PX_S2: Final = 5_000.0
+# What a light that is found again keeps of its track.
+KEPT: Final = ("number", "born_us", "invalid_us", "status", "read")
 
 
 def confirm(table: TrackTable, config: TrackerConfig, numbers: Numbers, counters: dict[str, int]) -> None:
@@ -33,6 +44,12 @@ def confirm(table: TrackTable, config: TrackerConfig, numbers: Numbers, counters
             # Two births of one light: the first one has it.
             alive[i] = False
             counters["births_double"] += 1
+        elif (lost := _lost(table, int(i), named[alive[named]], config)) is not None:
+            for name in KEPT:
+                getattr(table, name)[i] = getattr(table, name)[lost]
+            alive[lost] = False
+            table.number[lost] = UNNAMED
+            counters["tracks_found_again"] += 1
         elif len(named) >= config.max_tracks:
             alive[i] = False
             counters["births_over_limit"] += 1
@@ -41,6 +58,15 @@ def confirm(table: TrackTable, config: TrackerConfig, numbers: Numbers, counters
             counters["tracks_born"] += 1
     if not alive.all():
         table.keep(alive)
+
+
+def _lost(table: TrackTable, birth: int, named: Longs, config: TrackerConfig) -> int | None:
+    """Return the nearest of the named rows that may be the light of this birth, or None; see the module."""
+    unseen_s = (table.seen_us[birth] - table.seen_us[named]) / US_PER_S
+    reach = table.radius_px[named] + np.minimum(TREMOR_PX_S2 * unseen_s**2 / 2, config.gate_px)
+    away = np.hypot(*(table.state[named, :2] - table.state[birth, :2]).T)
+    away[(away > reach) | (table.seen_us[named] > table.born_us[birth])] = np.inf
+    return int(named[np.argmin(away)]) if np.isfinite(away).any() else None
 
 
 def initiate(

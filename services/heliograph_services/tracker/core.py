@@ -54,7 +54,7 @@ PREFIX_LIMIT: Final = 48
 COUNTERS: Final = (
     "windows", "windows_flooded", "active_pixels", "targets", "targets_carved", "targets_split",
     "births", "births_double", "births_over_limit", "births_quarantined",
-    "tracks_born", "tracks_ended", "tracks_ended_invalid", "tracks_renamed", "tracks_taken_over",
+    "tracks_born", "tracks_found_again", "tracks_ended", "tracks_ended_invalid", "tracks_renamed", "tracks_taken_over",
     "tracks_published", "tracks_at_once", "streams", "statuses",
 )  # fmt: skip
 

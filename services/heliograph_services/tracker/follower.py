@@ -37,6 +37,9 @@ TARGETS_LIMIT: Final = 2_000
 # A centre this far off the sensor, in radii and pixels, has left.
 LEAVE_RADII: Final = 2.0
 LEAVE_PX: Final = 8.0
+# At 1 kbit/s nine windows of ten show an edge of the code; at 50 bit/s one of three, and what is seen between is where a
+# lit LED goes.
+BLINKING: Final = 0.7
 
 _REFUSED: Final = (
     (shape.TOO_FEW, Refusal.TOO_FEW_PIXELS),
@@ -121,10 +124,13 @@ class GridFollower:
 
     def step(self, window: Window) -> bool:
         """Take the next window, later than the one before; return whether a track was born."""
-        born = self._counters["tracks_born"]
+        born = self._born()
         self._track(window)
         self._steering.apply(self.table, window.end_us)
-        return self._counters["tracks_born"] > born
+        return self._born() > born
+
+    def _born(self) -> int:
+        return self._counters["tracks_born"] + self._counters["tracks_found_again"]
 
     def _track(self, window: Window) -> None:
         """Predict, associate, update, confirm, initiate."""
@@ -136,9 +142,10 @@ class GridFollower:
             return
         self._counters["targets"] += len(targets)
         free = targets.verdict != shape.TOO_MANY
-        named = self.table.named
-        self._follow(np.flatnonzero(named), targets, free, window.end_us)
-        self._follow(np.flatnonzero(~named), targets, free, window.end_us)
+        named, blinking = self.table.named, self._blinking()
+        self._follow(np.flatnonzero(named & blinking), targets, free, targets.switched, window.end_us)
+        for rows in (named & ~blinking, ~named):
+            self._follow(np.flatnonzero(rows), targets, free, free, window.end_us)
         births.confirm(self.table, self._config, self._numbers, self._counters)
         # Too large to be used, so not taken by a track.
         left = free | (targets.verdict == shape.TOO_MANY)
@@ -155,7 +162,8 @@ class GridFollower:
         table = self.table
         table.judge(words, at_us)
         named = table.named
-        numbers, seen_us = table.number[named].tolist(), table.seen_us[named].tolist()
+        since_us = table.blink_us if self._config.confirm_blinks else table.seen_us
+        numbers, seen_us = table.number[named].tolist(), since_us[named].tolist()
         unseen_us = {number: at_us - us for number, us in zip(numbers, seen_us, strict=True)}
         renaming = self._identities.judge(tokens, unseen_us, at_us)
         if not renaming.number:
@@ -202,7 +210,9 @@ class GridFollower:
     def _alive(self, at_us: int) -> Flags:
         config, table = self._config, self.table
         coast = np.where(table.status == VALID, config.coast_valid_us, config.coast_new_us)
-        alive = at_us - table.seen_us <= coast
+        # What is seen and does not blink any more is something else that has come in its way.
+        since_us = table.blink_us if config.confirm_blinks else table.seen_us
+        alive = at_us - np.where(table.named, since_us, table.seen_us) <= coast
         alive &= (table.status != INVALID) | (at_us - table.invalid_us < config.invalid_us)
         alive &= table.named | (at_us - table.born_us <= config.confirm_us)
         state, _ = self._extrapolated(at_us)
@@ -249,19 +259,24 @@ class GridFollower:
         self._counters["targets_split"] += 1
         return shape.measure(active, *cut, self._pool_px, self._rule)
 
-    def _follow(self, rows: Longs, targets: Targets, free: Flags, end_us: int) -> None:
-        """Give the rows their targets, update them, and take what they use out of `free`."""
-        if len(rows) == 0 or not free.any():
+    def _blinking(self) -> Flags:
+        """Return (n,) bool: the rows that are seen as a light that is switched, and by what else passes, not at all."""
+        return np.asarray((self.table.habit > BLINKING) & (self._config.confirm_blinks > 0))
+
+    def _follow(self, rows: Longs, targets: Targets, free: Flags, fit: Flags, end_us: int) -> None:
+        """Give the rows their targets among what is free and fit, update them, and take what they use out of `free`."""
+        may = free & fit
+        if len(rows) == 0 or not may.any():
             return
         table = self.table
         seen_px = self._seen_px(targets.pixels)
-        offered = Candidates(targets.x_px, targets.y_px, seen_px, free)
+        offered = Candidates(targets.x_px, targets.y_px, seen_px, may)
         chosen = association.assign(table.state, table.cov, table.radius_px, table.size_px, rows, offered, self._gate)
         place = np.flatnonzero(chosen >= 0)
         if len(place) == 0:
             return
-        free[chosen[place]] = False
-        part_of, parts = self._parts(rows[place], targets, seen_px, free)
+        free[chosen[place]] = may[chosen[place]] = False
+        part_of, parts = self._parts(rows[place], targets, seen_px, may)
         free[parts] = False
         owner, used = np.concatenate([np.arange(len(place)), part_of]), np.concatenate([chosen[place], parts])
         see(table, self._filters, Sighting(rows[place], owner, used), targets, end_us, self._weights)

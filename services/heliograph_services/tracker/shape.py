@@ -25,7 +25,7 @@ ways (`BOTH_SHARE`): a light that blinks while it moves. What an edge leaves beh
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -47,11 +47,15 @@ SWEPT: Final = 4
 
 # A blinking light fires all its pixels one way, then all of them the other way; a crossing edge fires each pixel one
 # way, and a texture goes on with one polarity or mixes both among different pixels. So a window shows blinking if a
-# share of its pixels went both ways within it (fast light), or if its polarity is clear and not the last clear one
-# (slow light). Clear is the paper's |P| >= .5. The edges of 5 kbit/s put both into every pixel of a 5 ms window that
+# share of its pixels went both ways within it (fast light), or if its polarity is clear and not the last clear one, and
+# its pixels fired more than once (slow light; `DENSE`). Clear is the paper's |P| >= .5. The edges of 5 kbit/s put both into every pixel of a 5 ms window that
 # has more than one event; noise on an edge does so in one of twenty.
 BOTH_SHARE: Final = 0.25
 CLEAR: Final = 0.5
+# A light that is switched passes several thresholds at once, and puts 1.3 to 8 events into each pixel of a window (all
+# scenes of ours, 50 bit/s to 5 kbit/s); an edge that moves by less than a pixel in it passes one: 1.00, at most 1.08 in
+# nine of ten.
+DENSE: Final = 1.2
 # A disc of 13 pixels whose axes differ by a half does so by chance in one of ten windows.
 CHANCE: Final = 1.5
 # Full streaks score .9 to 1, two parallel lines or a bent one less than .7.
@@ -99,6 +103,22 @@ class Targets:
     def light(self) -> npt.NDArray[np.bool_]:
         """(k,) bool: those that have the shape of a light, still or moving."""
         return np.asarray((self.verdict == ROUND) | (self.verdict == SWEPT))
+
+    @property
+    def switched(self) -> npt.NDArray[np.bool_]:
+        """(k,) bool: those that a light may have made that was switched in the window; see `is_switched`."""
+        return is_switched(self.pixels, self.on + self.off, self.both)
+
+
+def is_switched(pixels: npt.NDArray[Any], events: npt.NDArray[Any], both: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+    """Return (k,) bool: whether many pixels went both ways, or each by more than one threshold.
+
+    Args:
+        pixels: (k,), distinct pixels.
+        events: (k,), of them all.
+        both: (k,), pixels that went both ways.
+    """
+    return np.asarray((both >= BOTH_SHARE * pixels) | (events >= DENSE * pixels))
 
 
 @dataclass(frozen=True, slots=True)

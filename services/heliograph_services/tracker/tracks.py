@@ -71,6 +71,8 @@ class TrackTable:
         invalid_us: (n,) int64, since when the decoder calls it invalid, else NEVER.
         hits: (n,) int64, windows with a target that has the shape of a light.
         blinks: (n,) int64, windows that show a blinking light and no crossing edge (`shape.BOTH_SHARE`).
+        blink_us: (n,) int64, end of the last of them; of the first window if there was none.
+        habit: (n,) float64, share of the windows that a switched light may have made, smoothed (`sighting`).
         sign: (n,) int64, of the last clear polarity: 1, -1, or 0 before there was one.
         status: (n,) int64, index into WORDS.
         radius_px: (n,) float64, covers nine tenths of the target's pixels, smoothed.
@@ -86,7 +88,7 @@ class TrackTable:
     """
 
     COLUMNS: Final = (
-        "number", "born_us", "seen_us", "invalid_us", "hits", "blinks", "sign", "status", "read",
+        "number", "born_us", "seen_us", "invalid_us", "hits", "blinks", "blink_us", "habit", "sign", "status", "read",
         "radius_px", "size_px", "polarity", "state", "cov", "flow_px_s", "q", "lag_px", "power_px2",
     )  # fmt: skip
 
@@ -97,6 +99,8 @@ class TrackTable:
         self.invalid_us: Longs = np.empty(0, np.int64)
         self.hits: Longs = np.empty(0, np.int64)
         self.blinks: Longs = np.empty(0, np.int64)
+        self.blink_us: Longs = np.empty(0, np.int64)
+        self.habit: Floats = np.empty(0, np.float64)
         self.sign: Longs = np.empty(0, np.int64)
         self.status: Longs = np.empty(0, np.int64)
         self.read: Flags = np.empty(0, np.bool_)
@@ -164,6 +168,8 @@ class TrackTable:
             "invalid_us": np.full(k, NEVER, np.int64),
             "hits": np.ones(k, np.int64),
             "blinks": blinks.astype(np.int64),
+            "blink_us": np.full(k, seen_us, np.int64),
+            "habit": np.zeros(k),
             "sign": sign,
             "status": np.full(k, NEW, np.int64),
             "read": np.zeros(k, np.bool_),
