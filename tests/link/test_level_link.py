@@ -9,6 +9,7 @@ from heliograph.events import Flags, Times
 from heliograph.link import level
 from heliograph.link.clock import BLOCK_BITS, SUB
 from heliograph.link.contract import LinkFrame
+from heliograph.link.frames import seed11_code
 from heliograph.link.modulations import modulation
 
 BIT_US = 20_000
@@ -19,7 +20,8 @@ LIT, RISE, FALL, DARK = 80.0, 10.0, 7.0, 0.5
 def words(seed: int, frames: int) -> tuple[list[int], list[int]]:
     """Return random payloads that no lamp imitates, and their bits."""
     kind = modulation("seed11")
-    safe = [p for p in range(64) if p not in kind.code.twins and p not in kind.code.periodic]
+    code = seed11_code()
+    safe = [p for p in range(64) if p not in code.twins and p not in code.periodic]
     payloads = np.random.default_rng(seed).choice(safe, frames).tolist()
     return payloads, [int(bit) for payload in payloads for bit in kind.encode(payload)]
 

@@ -1,7 +1,7 @@
 """The level of an LED that moves: lit it makes events all the time, dark it makes none.
 
 At 50 bit/s an image that moves by some pixels a bit makes ten times as many events within a lit bit as at its edges,
-so the edges drown (NRZ bits have a spectral null at the bit rate only on average). But the activity has edges itself. ::
+so the edges drown (NRZ bits have a spectral null at the bit rate only on average). Activity has edges itself. ::
 
     A-(k), A+(k)   events of both polarities in the half bit before and after the beginning of sub-bin k
     g(k) = (A+ - A-)^2 / (A+ + A-)         twice the log-likelihood ratio of a change, to second order
