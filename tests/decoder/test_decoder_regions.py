@@ -89,7 +89,7 @@ def test_each_event_goes_to_the_region_in_which_it_is_innermost(layouts: list[li
         assert routed.outside == expected.count(-1)
         for i in range(len(places)):
             mine = [j for j, owner in enumerate(expected) if owner == i]
-            t_us, on = routed.of(i)
+            t_us, on, _ = routed.of(i)
             assert t_us.tolist() == batch.t_us[mine].tolist()
             assert on.tolist() == batch.on[mine].tolist()
 
@@ -251,3 +251,33 @@ def test_one_pixel_is_never_re_centred() -> None:
     )
     assert len(made.follow(batch, WINDOW_US, Refusals()).of(0)[0]) == n
     assert made.place(0) == Place(0.0, 0.0, 0.0, 0.0, 2.0)
+
+
+def test_the_core_follows_the_median_distance_of_the_events_whatever_is_told_of_the_radius() -> None:
+    rng = np.random.default_rng(5)
+    sigma_px, n = 3.0, 20_000
+    for told_px in (0.5, 12.0):
+        made = Regions(WIDTH, HEIGHT, 32, STEP_US, 80.0)
+        made.load(column(Place(80.0, 60.0, 0.0, 0.0, 20.0), told_px, SURE)[:, None], np.full(1, NEVER), 0)
+        for k in range(4):
+            t_us = np.sort(rng.integers(0, WINDOW_US, n // 4)) + k * WINDOW_US
+            x, y = (np.rint(rng.normal(middle, sigma_px, n // 4)) for middle in (80, 60))
+            batch = EventBatch(t_us, x.astype(np.uint16), y.astype(np.uint16), rng.random(n // 4) < 0.5)
+            _, _, core = made.follow(batch, WINDOW_US, Refusals()).of(0)
+        away = np.hypot(x - 80.0, y - 60.0)
+        # Of a Gaussian's distances the median is sigma sqrt(2 ln 2).
+        expected = float(np.mean(away <= sigma_px * np.sqrt(2 * np.log(2)) + 0.5))
+        assert float(np.mean(core)) == pytest.approx(expected, abs=0.05)
+
+
+def test_of_a_point_of_light_the_nine_pixels_about_it_are_the_core() -> None:
+    t_us = np.arange(0, WINDOW_US, 10, dtype=np.int64)
+    on_it = np.resize([True, True, True, False], len(t_us))
+    x_px = np.where(on_it, 50 + np.arange(len(t_us)) % 3 - 1, 54).astype(np.uint16)
+    batch = EventBatch(t_us, x_px, np.full(len(t_us), 60, np.uint16), np.ones(len(t_us), np.bool_))
+    made = Regions(WIDTH, HEIGHT, 32, STEP_US, 80.0, self_centring=False)
+    load(made, [Place(50.0, 60.0, 0.0, 0.0, 5.0)])
+    for k in range(3):
+        later = EventBatch(batch.t_us + k * WINDOW_US, batch.x_px, batch.y_px, batch.on)
+        _, _, core = made.follow(later, WINDOW_US, Refusals()).of(0)
+    assert core.tolist() == on_it.tolist()

@@ -15,7 +15,7 @@ from heliograph.messages import Data, Frames, Identification, Link, Message, Sta
 from heliograph.site import Beacon
 from heliograph_services.decoder.config import DecoderConfig
 from heliograph_services.decoder.core import DecoderCore
-from heliograph_services.decoder.links import LinkPlan
+from heliograph_services.decoder.links import LinkPlan, TrackLinks
 from support.blinkers import (
     FRAME_US,
     Disc,
@@ -452,3 +452,24 @@ def test_a_region_that_is_lost_catches_up_from_where_the_tracker_saw_the_beacon(
     assert states(out, "accepted")[0].beacon == "crane"
     ends = [t for one in out if isinstance(one, Frames) for t in one.t_us]
     assert len(ends) >= (700_000 - 325_000) // FRAME_US - 1
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_links_as_fast_as_the_setting_hear_the_core_alone(measured: bool) -> None:
+    made: dict[float, PulseReceiver] = {}
+
+    def noted(name: str, **options: str | int):  # type: ignore[no-untyped-def]
+        kind = pulse_only(name, **options)
+        kind.receiver = lambda rate, _="default": made.setdefault(rate, PulseReceiver(says=False))  # type: ignore[method-assign]
+        return kind
+
+    slow = Beacon(name="slow", protocol="pulse", payload=1, bit_rate=100)
+    fast = Beacon(name="fast", protocol="pulse", payload=1, bit_rate=4_000)
+    given = {"protocol": "pulse", "bit_rate": "auto"} if measured else {"beacons": (slow, fast)}
+    plan = LinkPlan(DecoderConfig(core_bit_rate=4_000.0, **given), noted, lambda t_us, on: 4_000.0)  # type: ignore[arg-type]
+    made.clear()
+    links = TrackLinks(plan)
+    for k in range(2):
+        t_us = np.arange(10, dtype=np.int64) * 30_000 + k * 300_000
+        links.feed(t_us, np.ones(10, np.bool_), np.arange(10) % 2 == 0, (k + 1) * 300_000)
+    assert {rate: one.heard for rate, one in made.items()} == ({4_000.0: 10} if measured else {100.0: 20, 4_000.0: 10})

@@ -18,17 +18,21 @@ import numpy as np
 from heliograph.errors import Refusals
 from heliograph.events import EventBatch, Flags, Times
 from heliograph_services.decoder.regions import Regions, Routed
-from heliograph_services.decoder.routing import NEVER, P_XV, US_PER_S, VX, VY, Floats, Ints, X, Y
+from heliograph_services.decoder.routing import CORE, NEVER, P_XV, US_PER_S, VX, VY, Floats, Ints, X, Y
 
 _MIRROR: Final = np.array([[1.0], [1.0], [-1.0], [-1.0]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Heard:
-    """What a track would have heard, and along which trail: x, y, vx, vy, (4, m), at m rising times up to now."""
+    """What a track would have heard (`Routed.of`), and along which trail.
+
+    That is x, y, vx, vy, (4, m), at m rising times up to now.
+    """
 
     t_us: Times
     on: Flags
+    core: Flags
     trail_us: Ints
     trail: Floats
 
@@ -91,6 +95,7 @@ class Backlog:
         before = self._pass(regions, [_back(w, self._window_us) for w in reversed(earlier)])
         # Centred on the way back is centred at the pivot: the forward pass begins there.
         centred = np.where(regions.centred_us() == NEVER, NEVER, pivot_us)
+        start[CORE] = regions.states()[CORE]
         after = self._forth(regions, start, centred, pivot_us, now_us)
 
         back = [(-t_us, motion * _MIRROR) for t_us, motion in reversed(before.trail)]
@@ -100,8 +105,8 @@ class Backlog:
         heard: list[Heard] = []
         for i in range(n):
             pieces = [_unmirrored(routed.of(i)) for routed in reversed(before.pieces)]
-            t_us, on = _joined(pieces + [routed.of(i) for routed in after.pieces], born_us[i])
-            heard.append(Heard(t_us, on, times, motions[:, :, i].T.copy()))
+            t_us, on, core = _joined(pieces + [routed.of(i) for routed in after.pieces], born_us[i])
+            heard.append(Heard(t_us, on, core, times, motions[:, :, i].T.copy()))
         return heard
 
     def catch_up(self, regions: Regions, states: Floats, as_of_us: int, now_us: int) -> None:
@@ -146,12 +151,12 @@ def _mirrored(states: Floats) -> Floats:
     return mirrored
 
 
-def _unmirrored(heard: tuple[Times, Flags]) -> tuple[Times, Flags]:
-    return -heard[0][::-1], heard[1][::-1]
+def _unmirrored(heard: tuple[Times, Flags, Flags]) -> tuple[Times, Flags, Flags]:
+    return -heard[0][::-1], heard[1][::-1], heard[2][::-1]
 
 
-def _joined(pieces: list[tuple[Times, Flags]], from_us: int) -> tuple[Times, Flags]:
-    t_us = np.concatenate([np.empty(0, np.int64), *(t for t, _ in pieces)])
-    on = np.concatenate([np.empty(0, np.bool_), *(o for _, o in pieces)])
+def _joined(pieces: list[tuple[Times, Flags, Flags]], from_us: int) -> tuple[Times, Flags, Flags]:
+    t_us = np.concatenate([np.empty(0, np.int64), *(one[0] for one in pieces)])
+    on, core = (np.concatenate([np.empty(0, np.bool_), *(one[k] for one in pieces)]) for k in (1, 2))
     first = int(np.searchsorted(t_us, from_us))
-    return t_us[first:], on[first:]
+    return t_us[first:], on[first:], core[first:]

@@ -185,8 +185,7 @@ class DecoderCore:
         now_us = window.t1_us - 1 if window.last else window.t1_us
         rows, self._early = self._early, []
         for i, track in enumerate(following.tracks):
-            t_us, on = routed.of(i)
-            decided = track.links.feed(t_us, on, window.t1_us)
+            decided = track.links.feed(*routed.of(i), window.t1_us)
             if window.last:
                 decided += track.links.flush(window.t1_us)
             rows += self._collected(following, i, decided)

@@ -172,7 +172,10 @@ class Following:
         self.regions.append(self._spare.states(), self._spare.centred_us())
         for one in heard:
             self.history.append(one.trail_us, one.trail)
-        return [(track, track.links.feed(one.t_us, one.on, now_us)) for track, one in zip(begun, heard, strict=True)]
+        return [
+            (track, track.links.feed(one.t_us, one.on, one.core, now_us))
+            for track, one in zip(begun, heard, strict=True)
+        ]
 
 
 def _not_twice(row: Told, heard: list[Place], now_us: int) -> Told:

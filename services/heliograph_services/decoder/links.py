@@ -4,6 +4,10 @@ A *link* is what a receiver must know beforehand: protocol, bit rate, options. A
 The first to accept wins, the others rest until it is lost; of two in one window the larger margin wins. A frame decided
 during a contest cannot be attributed yet, so it is held, for `CONTEST_US` at most; where a site has one link alone
 nothing is held.
+
+Fast links (core_bit_rate and more) hear the core of the track's image alone (heliograph_services.decoder.routing): the
+halo's edges come late, by a share of the bit that breaks the lock. Slower ones hear the whole, where it is its number
+of events, and their spread over the scans of a slow sensor, that tell.
 """
 
 from __future__ import annotations
@@ -74,6 +78,7 @@ class LinkPlan:
         self, config: DecoderConfig, modulation_of: ModulationOf = modulation, measure: Measure | None = None
     ) -> None:
         self.loss_us = config.loss_us
+        self.core_bit_rate = config.core_bit_rate
         self.measure = measure
         self.rows = [
             _Row(key, _modulation(modulation_of, key, config.beacons), config.receiver)
@@ -209,7 +214,7 @@ class TrackLinks:
         self._contenders: list[_Contender] = []
         self._winner: _Contender | None = None
         self._refusals = Refusals()
-        self._kept: list[tuple[Times, Flags]] = []
+        self._kept: list[tuple[Times, Flags, Flags]] = []
         self._rate: float | None = None
         self._try_us: int | None = None
         self.contested = 0  # windows in which two links accepted at once
@@ -223,15 +228,23 @@ class TrackLinks:
             self._contenders.append(_Contender(link, self._plan.receiver(link, rate), rate))
         self._contenders.sort(key=lambda one: one.link)
 
-    def feed(self, t_us: Times, on: Flags, until_us: int) -> list[Decided]:
-        """Take the track's events before until_us (see Receiver.feed); return what is published of them."""
+    def feed(self, t_us: Times, on: Flags, core: Flags, until_us: int) -> list[Decided]:
+        """Take the track's events before until_us (see Receiver.feed); return what is published of them.
+
+        Args:
+            t_us: (n,) int64.
+            on: (n,) bool.
+            core: (n,) bool, which lie in the core of the track's image.
+            until_us: there are no more events before this time.
+        """
         if not self._contenders:
-            measured = self._measured(t_us, on, until_us)
+            measured = self._measured(t_us, on, core, until_us)
             if measured is None:
                 return []
-            t_us, on = measured
+            t_us, on, core = measured
         for one in self._contenders:
-            one.held += one.receiver.feed(t_us, on, until_us)
+            fast = one.bit_rate >= self._plan.core_bit_rate
+            one.held += one.receiver.feed(t_us[core] if fast else t_us, on[core] if fast else on, until_us)
             del one.held[:-HELD_LIMIT]
         return self._settle(until_us)
 
@@ -288,10 +301,10 @@ class TrackLinks:
             return False
         return now_us - identity.t_us <= self._plan.loss_after_us(one.link, one.bit_rate)
 
-    def _measured(self, t_us: Times, on: Flags, until_us: int) -> tuple[Times, Flags] | None:
+    def _measured(self, t_us: Times, on: Flags, core: Flags, until_us: int) -> tuple[Times, Flags, Flags] | None:
         """Collect events until a bit rate is found; then enter the receivers and return what they are to hear."""
-        if len(t_us) and sum(len(t) for t, _ in self._kept) < MEASURE_EVENTS:
-            self._kept.append((t_us, on))
+        if len(t_us) and sum(len(kept[0]) for kept in self._kept) < MEASURE_EVENTS:
+            self._kept.append((t_us, on, core))
         if not self._kept:
             return None
         first_us = int(self._kept[0][0][0])
@@ -299,18 +312,18 @@ class TrackLinks:
             self._try_us = first_us + MEASURE_US
         if until_us < self._try_us:
             return None
-        all_t = np.concatenate([t for t, _ in self._kept])
-        all_on = np.concatenate([o for _, o in self._kept])
+        all_t = np.concatenate([kept[0] for kept in self._kept])
+        all_on, all_core = (np.concatenate([kept[k] for kept in self._kept]) for k in (1, 2))
         self._rate = self._plan.measure(all_t, all_on) if self._plan.measure is not None else None
         if self._rate is not None:
             self._kept = []
             self._enter(range(len(self._plan.rows)))
-            return all_t, all_on
+            return all_t, all_on, all_core
         self._try_us = until_us + MEASURE_US
         if until_us - first_us >= MEASURE_LIMIT_US:
             self._refusals[Refusal.NO_CLOCK] += 1
             late = int(np.searchsorted(all_t, until_us - MEASURE_LIMIT_US // 2))
-            self._kept = [(all_t[late:], all_on[late:])] if late < len(all_t) else []
+            self._kept = [(all_t[late:], all_on[late:], all_core[late:])] if late < len(all_t) else []
         return None
 
     def accepted(self, now_us: int) -> Accepted | None:

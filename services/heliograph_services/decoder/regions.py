@@ -20,6 +20,7 @@ from heliograph.errors import Refusal, Refusals
 from heliograph.events import EventBatch, Flags, Times
 from heliograph_services.decoder import routing
 from heliograph_services.decoder.routing import (
+    CORE,
     NEVER,
     P_VV,
     P_VV_LIMIT,
@@ -40,9 +41,12 @@ from heliograph_services.decoder.routing import (
     X,
     Y,
 )
+from heliograph_services.decoder.sorting import sort_by_track
 
 # Of the filter, before the residuals have their say: 0.3 px of doubt a tenth of a second after the last edge.
 Q_START: Final = 1e3
+# Half a disc's events lie within .7 of its radius, half a Gaussian's within .4 of what a threshold shows of it.
+CORE_START: Final = 0.5
 # The pixels of a region stay for a step; what moves on by more than its margin meanwhile is not heard. At 11,000 px/s
 # that asks for a quarter of a millisecond.
 STEP_PX: Final = 3.0
@@ -119,6 +123,7 @@ def column(at: Place, radius_px: float, sure: Doubt) -> Floats:
     state = np.zeros(ROWS, np.float64)
     state[[X, Y, VX, VY, REACH]] = (at.x_px, at.y_px, at.vx_px_s, at.vy_px_s, at.reach_px)
     state[[RADIUS, P_XX, P_XV, P_VV, Q]] = (radius_px, sure.xx, sure.xv, sure.vv, Q_START)
+    state[CORE] = CORE_START * radius_px
     return state
 
 
@@ -129,12 +134,13 @@ class Routed:
     starts: routing.Ints
     t_us: Times
     on: Flags
+    core: Flags
     outside: int
 
-    def of(self, i: int) -> tuple[Times, Flags]:
-        """Return times and polarities of the events of track i."""
+    def of(self, i: int) -> tuple[Times, Flags, Flags]:
+        """Return times and polarities of the events of track i, and which lie in its image's core."""
         first, behind = int(self.starts[i]), int(self.starts[i + 1])
-        return self.t_us[first:behind], self.on[first:behind]
+        return self.t_us[first:behind], self.on[first:behind], self.core[first:behind]
 
 
 class Regions:
@@ -289,11 +295,11 @@ class Regions:
         m = len(batch)
         step_us = self._step(window_us)
         steps = max(1, -(-window_us // step_us))
-        hit, label = np.empty(m, np.int64), np.empty(m, np.uint16)
+        hit, label, core = np.empty(m, np.int64), np.empty(m, np.uint16), np.empty(m, np.bool_)
         hits, paintings, off = routing.follow(
             batch.t_us, batch.x_px, batch.y_px, self.now_us, step_us, steps, self._self_centring,
             self._labels, self._painted, self._n_painted, self._state, self._centred_us, self._heard, self._counts,
-            self.n, self.noise_per_px_us, hit, label, self._seen,
+            self.n, self.noise_per_px_us, hit, label, core, self._seen,
         )  # fmt: skip
         self.now_us += window_us
         if paintings:
@@ -304,4 +310,4 @@ class Regions:
         outside = m - hits - off
         covered = float(np.sum(np.square(self._state[REACH, : self.n]))) * np.pi
         self.noise_per_px_us = outside / (max(self._pixels - covered, 0.1 * self._pixels) * window_us)
-        return Routed(*routing.sort_by_track(batch.t_us, batch.on, self.n, hits, hit, label), outside)
+        return Routed(*sort_by_track(batch.t_us, batch.on, self.n, hits, hit, label, core), outside)

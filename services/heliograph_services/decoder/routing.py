@@ -30,6 +30,14 @@ a hot one cannot pull.
 
 A region that is not centred grows as its uncertainty does, s = r + max(0, 3 sqrt(P_xx) - GROW_FROM_PX), up to
 `GROW_LIMIT_PX`: so it hears its target again behind an occlusion.
+
+An event lies in the *core* of its region's image if::
+
+    |event - c(t)| <= max(m + CORE_MARGIN_PX, CORE_LEAST_PX) + max(0, s - r)
+
+m is the median distance of the region's own events, learned one by one, m += CORE_STEP_PX sign(|event - c(t)| - m).
+Half of the events at least are in the core, whatever the target's size. Those outside come from the halo: edges of
+little contrast, which cross a pixel's threshold late.
 """
 
 from __future__ import annotations
@@ -62,7 +70,8 @@ P_VV: Final = 8
 Q: Final = 9
 SHARED: Final = 10  # 1 where another region that follows its target overlaps with it
 RANK: Final = 11  # 1 where frames are being read, else 0
-ROWS: Final = 12
+CORE: Final = 12  # m, px
+ROWS: Final = 13
 # Rows of what the regions have heard since they were centred last: a column a track.
 EVENTS: Final = 0
 PIXELS: Final = 1  # sum over the steps of distinct pixels less one
@@ -100,6 +109,12 @@ ALIVE_US: Final = 30_000
 GROW_FROM_PX: Final = 2.0
 # Half a second of a walking pace's changes of mind; more would hear its neighbours.
 GROW_LIMIT_PX: Final = 8.0
+# A pixel's own extent to each side.
+CORE_MARGIN_PX: Final = 0.5
+# The middle pixel and its eight neighbours: what a point of light lies on.
+CORE_LEAST_PX: Final = 1.5
+# A hundred edges of 30 events move m by up to its whole; in between it trembles by a tenth of a pixel.
+CORE_STEP_PX: Final = 0.01
 # Uncertainty beyond a sensor's width, or beyond any speed, says no more.
 P_XX_LIMIT: Final = 1e6
 P_VV_LIMIT: Final = 1e9
@@ -130,10 +145,16 @@ def span(centre: float, reach: float, side: int) -> tuple[int, int]:
 
 
 @kernel
+def grown_px(state: Floats, i: int) -> float:
+    """Return how much farther than its reach region i listens for now."""
+    grown: float = min(max(3.0 * math.sqrt(state[P_XX, i]) - GROW_FROM_PX, 0.0), GROW_LIMIT_PX)
+    return grown
+
+
+@kernel
 def shown_px(state: Floats, i: int) -> float:
     """Return how far region i listens for now."""
-    grown = 3.0 * math.sqrt(state[P_XX, i]) - GROW_FROM_PX
-    reach: float = state[REACH, i] + min(max(grown, 0.0), GROW_LIMIT_PX)
+    reach: float = state[REACH, i] + grown_px(state, i)
     return reach
 
 
@@ -313,6 +334,7 @@ def look_up(
     hits: int,
     hit: Ints,
     hit_label: Labels,
+    hit_core: Flags,
     seen: npt.NDArray[np.uint8],
 ) -> tuple[int, int]:
     """Look up the events of a step and note their residuals; return (hits so far, events off the sensor).
@@ -330,18 +352,23 @@ def look_up(
         label = labels[y, x]
         if label == 0:
             continue
+        i = label - 1
+        s = min((t_us[j] - begin_us) / US_PER_S - half_s, half_s)
+        zx, zy = x - state[X, i] - state[VX, i] * s, y - state[Y, i] - state[VY, i] * s
+        away = math.sqrt(zx * zx + zy * zy)
         hit[hits] = offset + j
         hit_label[hits] = label
+        hit_core[hits] = away <= max(state[CORE, i] + CORE_MARGIN_PX, CORE_LEAST_PX) + grown_px(state, i)
         hits += 1
+        if away <= state[REACH, i]:
+            state[CORE, i] += CORE_STEP_PX if away > state[CORE, i] else -CORE_STEP_PX
         times = seen[y, x]
         if times >= PIXEL_LIMIT:
             continue
         seen[y, x] = times + 1
-        i = label - 1
-        s = min((t_us[j] - begin_us) / US_PER_S - half_s, half_s)
         half = half_bins(state[REACH, i], counts.shape[2])
-        dx = math.floor((x - state[X, i] - state[VX, i] * s) * BINS_PER_PX) + half
-        dy = math.floor((y - state[Y, i] - state[VY, i] * s) * BINS_PER_PX) + half
+        dx = math.floor(zx * BINS_PER_PX) + half
+        dy = math.floor(zy * BINS_PER_PX) + half
         counts[i, 0, min(max(dx, 0), 2 * half - 1)] += 1
         counts[i, 1, min(max(dy, 0), 2 * half - 1)] += 1
         heard[EVENTS, i] += 1
@@ -402,6 +429,7 @@ def follow(
     noise_per_px_us: float,
     hit: Ints,
     hit_label: Labels,
+    hit_core: Flags,
     seen: npt.NDArray[np.uint8],
 ) -> tuple[int, int, int]:
     """Look up every event of a window, move and centre the regions; return (hits, repaintings, events off the sensor).
@@ -425,6 +453,7 @@ def follow(
         noise_per_px_us: events a pixel and microsecond outside all regions.
         hit: (m,) scratch: indices of the events that fell into a region.
         hit_label: (m,) scratch: their label.
+        hit_core: (m,) scratch: whether they lie in the core of their region's image.
         seen: (height, width), zeros before and after.
     """
     hits, paintings, off, k = 0, 0, 0, 0
@@ -442,7 +471,7 @@ def follow(
                 paintings += 1
             hits, missed = look_up(
                 t_us[first:k], x_px[first:k], y_px[first:k], first, begin_us, step_us,
-                labels, state, heard, counts, hits, hit, hit_label, seen,
+                labels, state, heard, counts, hits, hit, hit_label, hit_core, seen,
             )  # fmt: skip
             off += missed
             carry(state, n, 0.5 * step_us)
@@ -451,22 +480,3 @@ def follow(
         share(state, centred_us, n, begin_us + step_us)
         settle(state, centred_us, heard, counts, n, begin_us + step_us, step_us, noise_per_px_us, self_centring)
     return hits, paintings, off
-
-
-@kernel
-def sort_by_track(t_us: Times, on: Flags, n: int, hits: int, hit: Ints, hit_label: Labels) -> tuple[Ints, Times, Flags]:
-    """Return (starts, t_us, on): the hits of track i are [starts[i], starts[i + 1]), in their order."""
-    starts = np.zeros(n + 1, np.int64)
-    for j in range(hits):
-        starts[hit_label[j]] += 1
-    for i in range(n):
-        starts[i + 1] += starts[i]
-    at = starts[:n].copy()
-    times = np.empty(hits, np.int64)
-    levels = np.empty(hits, np.bool_)
-    for j in range(hits):
-        i = hit_label[j] - 1
-        times[at[i]] = t_us[hit[j]]
-        levels[at[i]] = on[hit[j]]
-        at[i] += 1
-    return starts, times, levels
