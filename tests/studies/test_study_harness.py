@@ -234,3 +234,12 @@ def test_the_page_of_a_real_run_tells_its_difference_to_the_genie_and_its_commit
     assert "Commit 1234abc." in text
     assert f"| {sent} frames, 1 runs |" in text
     assert "| noise mini slow | 2000 | outside close pairs |" in text
+
+
+def test_the_page_tells_the_spin_s_curve_beside_the_genie_s() -> None:
+    bins = [{"px_s": [0, 1000], "blocks": [[0, 10, 9, 8, 10]]}, {"px_s": [8000, 9000], "blocks": [[5, 20, 0, 5, 20]]}]
+    row = {"run": {"seed": 1}, "code": "c", "seconds": 9.0, "cpu_s": {}, "readers": ["ours", "genie"], "bins": bins}
+    text = tracker_page.page({"spin": [row]})
+    assert "| spin | MAR_sent, 0 to 3000 px/s | the curve below | 0.8000" in text
+    assert "| spin | MAR_sent, 6000 to 9000 px/s | the curve below | 0.2500" in text
+    assert "3000 to 6000" not in text

@@ -82,7 +82,7 @@ def spin(seed: int, seconds: float) -> Row:
     """Return the row of the built-in `spin`, its payload drawn anew for every frame: counts by speed."""
     folder = resources.files("heliograph_services.event_source.simulation.world") / "scenarios"
     text = (folder / "spin.toml").read_text(encoding="utf-8").replace("payload = 42", "fresh = true")
-    said = episode(_setting(text, seed, seconds, 1000.0), ("ours", "told", "genie"))
+    said = episode(_setting(text, seed, seconds, 1000.0), PAIR)
     sent = sent_frames(said.truths, said.paths)
     found = {name: verdicts(sent, one.frames, said.paths) for name, one in said.said.items()}
     near = tracked(sent, said.said["ours"].tracks, said.paths, carried=False)
