@@ -2,9 +2,6 @@
 
 A birth's velocity is not known; its standard deviation on each axis is `initial_speed_px_s`, and for a disc that swept
 over L pixels in the window W also L / W: a fast light is expected anywhere ahead or behind (`shape`).
-
-A light that is found where a track was lost is that track: lost at the time t_0 with the radius R, it may at t lie
-within R + min(a (t - t_0)^2 / 2, gate_px) of where it was expected, if it was not seen since the birth began.
 """
 
 from __future__ import annotations
@@ -14,8 +11,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from heliograph.units import US_PER_S
-from heliograph_services.tracker import association
+from heliograph_services.tracker import association, recovery
 from heliograph_services.tracker.config import TrackerConfig
 from heliograph_services.tracker.shape import BOTH_SHARE, Targets
 from heliograph_services.tracker.sighting import Rule, signs
@@ -25,9 +21,7 @@ from heliograph_services.tracker.windows import Window
 Floats = npt.NDArray[np.float64]
 Longs = npt.NDArray[np.int64]
 
-# A hand trembles by 1.7 px at 8 to 12 Hz, with f = 390 px: up to 2.5 times 4,300 to 9,700 px/s2, most of it less.
-TREMOR_PX_S2: Final = 5_000.0
-# What a light that is found again keeps of its track.
+# What a light keeps of the lost track that it is (`recovery`).
 KEPT: Final = ("number", "born_us", "invalid_us", "status", "read")
 
 
@@ -44,7 +38,7 @@ def confirm(table: TrackTable, config: TrackerConfig, numbers: Numbers, counters
             # Two births of one light: the first one has it.
             alive[i] = False
             counters["births_double"] += 1
-        elif (lost := _lost(table, int(i), named[alive[named]], config)) is not None:
+        elif (lost := recovery.lost(table, int(i), named[alive[named]], config)) is not None:
             for name in KEPT:
                 getattr(table, name)[i] = getattr(table, name)[lost]
             alive[lost] = False
@@ -58,15 +52,6 @@ def confirm(table: TrackTable, config: TrackerConfig, numbers: Numbers, counters
             counters["tracks_born"] += 1
     if not alive.all():
         table.keep(alive)
-
-
-def _lost(table: TrackTable, birth: int, named: Longs, config: TrackerConfig) -> int | None:
-    """Return the nearest of the named rows that may be the light of this birth, or None; see the module."""
-    unseen_s = (table.seen_us[birth] - table.seen_us[named]) / US_PER_S
-    reach = table.radius_px[named] + np.minimum(TREMOR_PX_S2 * unseen_s**2 / 2, config.gate_px)
-    away = np.hypot(*(table.state[named, :2] - table.state[birth, :2]).T)
-    away[(away > reach) | (table.seen_us[named] > table.born_us[birth])] = np.inf
-    return int(named[np.argmin(away)]) if np.isfinite(away).any() else None
 
 
 def initiate(

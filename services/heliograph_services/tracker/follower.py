@@ -15,7 +15,7 @@ import numpy.typing as npt
 from heliograph.errors import Refusal, Refusals
 from heliograph.messages import StatusWord
 from heliograph.units import US_PER_S
-from heliograph_services.tracker import association, births, shape
+from heliograph_services.tracker import association, births, recovery, shape
 from heliograph_services.tracker.association import Candidates, Gate
 from heliograph_services.tracker.backends import Backends
 from heliograph_services.tracker.config import TrackerConfig
@@ -37,8 +37,8 @@ TARGETS_LIMIT: Final = 2_000
 # A centre this far off the sensor, in radii and pixels, has left.
 LEAVE_RADII: Final = 2.0
 LEAVE_PX: Final = 8.0
-# At 1 kbit/s nine windows of ten show an edge of the code; at 50 bit/s one of three, and what is seen between is where a
-# lit LED goes.
+# At 1 kbit/s nine windows of ten show an edge of the code; at 50 bit/s one of three, and what is seen between is where
+# a lit LED goes.
 BLINKING: Final = 0.7
 
 _REFUSED: Final = (
@@ -144,6 +144,7 @@ class GridFollower:
         free = targets.verdict != shape.TOO_MANY
         named, blinking = self.table.named, self._blinking()
         self._follow(np.flatnonzero(named & blinking), targets, free, targets.switched, window.end_us)
+        self._find(np.flatnonzero(named & blinking), targets, free, window.end_us)
         for rows in (named & ~blinking, ~named):
             self._follow(np.flatnonzero(rows), targets, free, free, window.end_us)
         births.confirm(self.table, self._config, self._numbers, self._counters)
@@ -280,6 +281,19 @@ class GridFollower:
         free[parts] = False
         owner, used = np.concatenate([np.arange(len(place)), part_of]), np.concatenate([chosen[place], parts])
         see(table, self._filters, Sighting(rows[place], owner, used), targets, end_us, self._weights)
+
+    def _find(self, rows: Longs, targets: Targets, free: Flags, end_us: int) -> None:
+        """Give rows that lost their light because it turned the nearest free one that blinks; see `recovery`."""
+        rows = rows[self.table.seen_us[rows] < end_us]
+        used = np.flatnonzero(free & targets.light & targets.blinking)
+        if len(rows) == 0 or len(used) == 0:
+            return
+        found = recovery.found(self.table, rows, targets, used, self._seen_px(targets.pixels), end_us, self._config)
+        if len(found.rows):
+            free[found.used] = False
+            recovery.loosen(self.table, found.rows, end_us)
+            see(self.table, self._filters, found, targets, end_us, self._weights)
+            self._counters["tracks_found_again"] += len(found.rows)
 
     def _parts(self, rows: Longs, targets: Targets, seen_px: Floats, free: Flags) -> tuple[Longs, Longs]:
         """Return which further targets lie on the discs of the rows: the row's place, the target."""

@@ -48,8 +48,8 @@ SWEPT: Final = 4
 # A blinking light fires all its pixels one way, then all of them the other way; a crossing edge fires each pixel one
 # way, and a texture goes on with one polarity or mixes both among different pixels. So a window shows blinking if a
 # share of its pixels went both ways within it (fast light), or if its polarity is clear and not the last clear one, and
-# its pixels fired more than once (slow light; `DENSE`). Clear is the paper's |P| >= .5. The edges of 5 kbit/s put both into every pixel of a 5 ms window that
-# has more than one event; noise on an edge does so in one of twenty.
+# its pixels fired more than once (slow light; `DENSE`). Clear is the paper's |P| >= .5. The edges of 5 kbit/s put both
+# into every pixel of a 5 ms window that has more than one event; noise on an edge does so in one of twenty.
 BOTH_SHARE: Final = 0.25
 CLEAR: Final = 0.5
 # A light that is switched passes several thresholds at once, and puts 1.3 to 8 events into each pixel of a window (all
@@ -103,6 +103,11 @@ class Targets:
     def light(self) -> npt.NDArray[np.bool_]:
         """(k,) bool: those that have the shape of a light, still or moving."""
         return np.asarray((self.verdict == ROUND) | (self.verdict == SWEPT))
+
+    @property
+    def blinking(self) -> npt.NDArray[np.bool_]:
+        """(k,) bool: those of which many pixels went both ways within the window."""
+        return np.asarray(self.both >= BOTH_SHARE * self.pixels)
 
     @property
     def switched(self) -> npt.NDArray[np.bool_]:
