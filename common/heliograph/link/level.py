@@ -6,15 +6,14 @@ so the edges drown (NRZ bits have a spectral null at the bit rate only on averag
     A-(k), A+(k)   events of both polarities in the half bit before and after the beginning of sub-bin k
     g(k) = (A+ - A-)^2 / (A+ + A-)         twice the log-likelihood ratio of a change, to second order
 
-Where g is the largest within a quarter of a bit either way, above `CHANGE`, and one side has `RATIO` times as many
+Where g is the largest within half a bit either way, above `CHANGE`, and one side has `RATIO` times as many
 events as the other, there is an edge of the level. These edges are given to the clock (`heliograph.link.clock`) like
 events: a rise as ON, a fall as OFF.
 
-A light that stands still shows such edges too, around each burst. It is told apart once the grid is known: its second
-halves of bits are silent, so the two halves of a bit that lies between two boundaries do not agree; and where its
-bursts are so slow that they fill a bit, every other one begins with OFF events, while a level only ever begins with ON
-events. If a window shows a level, its bits are read by their second halves, and the response
-(`heliograph.link.response`) starts with the mean counts of each pair of bits.
+A light that stands still shows such edges too, around each burst. It is told apart once the grid is known: the middle
+of its bits is silent; and where its bursts are so slow that they fill a bit, every other one begins with OFF events,
+while a level only ever rises with ON events and falls with OFF events. If a window shows a level, its bits are read by
+their middle, and the response (`heliograph.link.response`) starts with the mean counts of each pair of bits.
 """
 
 from __future__ import annotations
@@ -38,10 +37,16 @@ LIT_SHARE_LEAST: Final = 0.05
 # Slots that the composed guess of a pair of bits weighs against those seen in the window.
 COMPOSED_SLOTS: Final = 4.0
 BITS_LEAST: Final = 24
-# Of the level's rises so many begin with more ON events than OFF, and there are so many; slow bursts have a half.
-RISES_ON: Final = 0.8
-RISES_LEAST: Final = 4
-QUARTER_BIT: Final = SUB // 4
+# The middle of a bit, in sub-bins from both its ends: bursts are over, and the grid may be off by a sub-bin or two.
+MIDDLE: Final = 3
+# Where a change shows its burst: sub-bins before the boundary (the grid may be late) and after it.
+BEFORE: Final = 1
+AFTER: Final = 4
+# Of a level's rises so many show their polarity, and there are so many; slow bursts have a half. A fall's burst lies on
+# the edge of a lit bit, whose own events hide it now and then.
+RISES_ON: Final = 0.75
+FALLS_OFF: Final = 0.5
+CHANGES_LEAST: Final = 4
 
 
 @numba.njit(cache=True, nogil=True)
@@ -72,15 +77,16 @@ def edges(t: Floats, found_t: Floats, found_on: npt.NDArray[np.bool_]) -> int:
     for k in range(HALF_BIT, cells - HALF_BIT + 1):
         if change[k] < CHANGE:
             continue
+        rise = upto[k + HALF_BIT] - upto[k] > upto[k] - upto[k - HALF_BIT]
         largest = True
-        for j in range(max(k - HALF_BIT // 2, 0), min(k + HALF_BIT // 2 + 1, cells)):
-            # Of equal ones the first counts.
-            if change[j] > change[k] or (change[j] == change[k] and j < k):
+        for j in range(max(k - HALF_BIT, 0), min(k + HALF_BIT + 1, cells)):
+            # Of equal ones, before and after a single burst, the one at the burst counts.
+            if change[j] > change[k] or (change[j] == change[k] and ((j > k) if rise else (j < k)) and j != k):
                 largest = False
                 break
         if largest and n < len(found_t):
             found_t[n] = k / SUB
-            found_on[n] = upto[k + HALF_BIT] - upto[k] > upto[k] - upto[k - HALF_BIT]
+            found_on[n] = rise
             n += 1
     return n
 
@@ -100,7 +106,7 @@ def start(
         seen: (4,) out: zero.
 
     Returns:
-        Whether the two halves of its bits agree on being lit or dark.
+        Whether the middles of its bits are lit or dark, and it rises and falls as a level does.
     """
     bits = int((until - found[0]) / found[1])
     if bits < BITS_LEAST:
@@ -111,19 +117,16 @@ def start(
         bit = int(np.floor(at))
         if 0 <= bit < bits:
             counts[bit, 1 if on[i] else 0, min(int((at - bit) * SUB), SUB - 1)] += 1.0
-    first, second = np.zeros(bits), np.zeros(bits)
+    middle = np.zeros(bits)
     for bit in range(bits):
         for p in range(2):
-            first[bit] += counts[bit, p, :HALF_BIT].sum()
-            second[bit] += counts[bit, p, HALF_BIT:].sum()
-    lit = second > 0.5 * second.mean()
+            middle[bit] += counts[bit, p, MIDDLE:-MIDDLE].sum()
+    lit = middle > 0.5 * middle.mean()
     share = lit.mean()
     if share < LIT_SHARE_LEAST or share > 1.0 - LIT_SHARE_LEAST:
         return False
-    bright, dim = second[lit].mean(), second[~lit].mean()
-    # The burst of an edge adds to first halves; a window that ends in darkness has bits of less.
-    agree = first[lit].mean() < RATIO * bright + LIT_EVENTS and first[~lit].mean() < bright / 2
-    if bright < LIT_EVENTS or bright < RATIO * dim or not agree or not _begins_with_on(counts, lit):
+    bright, dim = middle[lit].mean(), middle[~lit].mean()
+    if bright < LIT_EVENTS or bright < RATIO * dim or not _changes_by_polarity(counts, lit):
         return False
     _average(counts, lit, rate)
     seen[:] = 0
@@ -131,15 +134,22 @@ def start(
 
 
 @numba.njit(cache=True, nogil=True)
-def _begins_with_on(counts: Floats, lit: npt.NDArray[np.bool_]) -> bool:
-    """Return whether the rises of the level begin with ON events."""
-    rises, with_on = 0, 0
+def _changes_by_polarity(counts: Floats, lit: npt.NDArray[np.bool_]) -> bool:
+    """Return whether the level's rises show more ON events than OFF, and its falls more OFF than the lit bit before."""
+    rises, rises_on, falls, falls_off = 0, 0, 0, 0
     for bit in range(1, len(lit)):
-        if lit[bit] and not lit[bit - 1]:
+        if lit[bit] == lit[bit - 1]:
+            continue
+        excess = counts[bit - 1, 1, -BEFORE:].sum() + counts[bit, 1, :AFTER].sum()
+        excess -= counts[bit - 1, 0, -BEFORE:].sum() + counts[bit, 0, :AFTER].sum()
+        if lit[bit]:
             rises += 1
-            if counts[bit, 1, :QUARTER_BIT].sum() > counts[bit, 0, :QUARTER_BIT].sum():
-                with_on += 1
-    return rises >= RISES_LEAST and with_on >= RISES_ON * rises
+            rises_on += 1 if excess > 0.0 else 0
+        else:
+            steady = counts[bit - 1, 1, MIDDLE:-MIDDLE].sum() - counts[bit - 1, 0, MIDDLE:-MIDDLE].sum()
+            falls += 1
+            falls_off += 1 if excess < steady * BEFORE / (SUB - 2 * MIDDLE) else 0
+    return min(rises, falls) >= CHANGES_LEAST and rises_on >= RISES_ON * rises and falls_off > FALLS_OFF * falls
 
 
 @numba.njit(cache=True, nogil=True)
