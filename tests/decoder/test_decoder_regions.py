@@ -13,7 +13,9 @@ from heliograph.events import EventBatch
 from heliograph_services.decoder.regions import Doubt, Place, Regions, column
 from heliograph_services.decoder.routing import (
     BINS_PER_PX,
+    CORE_OF,
     ETA,
+    HEART_OF,
     NEVER,
     Q_MIN,
     R_0,
@@ -263,11 +265,11 @@ def test_the_core_follows_the_median_distance_of_the_events_whatever_is_told_of_
             t_us = np.sort(rng.integers(0, WINDOW_US, n // 4)) + k * WINDOW_US
             x, y = (np.rint(rng.normal(middle, sigma_px, n // 4)) for middle in (80, 60))
             batch = EventBatch(t_us, x.astype(np.uint16), y.astype(np.uint16), rng.random(n // 4) < 0.5)
-            _, _, core = made.follow(batch, WINDOW_US, Refusals()).of(0)
+            _, _, depth = made.follow(batch, WINDOW_US, Refusals()).of(0)
         away = np.hypot(x - 80.0, y - 60.0)
         # Of a Gaussian's distances the median is sigma sqrt(2 ln 2).
         expected = float(np.mean(away <= sigma_px * np.sqrt(2 * np.log(2)) + 0.5))
-        assert float(np.mean(core)) == pytest.approx(expected, abs=0.05)
+        assert float(np.mean(depth >= CORE_OF)) == pytest.approx(expected, abs=0.05)
 
 
 def test_of_a_point_of_light_the_nine_pixels_about_it_are_the_core() -> None:
@@ -279,5 +281,18 @@ def test_of_a_point_of_light_the_nine_pixels_about_it_are_the_core() -> None:
     load(made, [Place(50.0, 60.0, 0.0, 0.0, 5.0)])
     for k in range(3):
         later = EventBatch(batch.t_us + k * WINDOW_US, batch.x_px, batch.y_px, batch.on)
-        _, _, core = made.follow(later, WINDOW_US, Refusals()).of(0)
-    assert core.tolist() == on_it.tolist()
+        _, _, depth = made.follow(later, WINDOW_US, Refusals()).of(0)
+    assert (depth >= CORE_OF).tolist() == on_it.tolist()
+
+
+def test_the_rim_of_a_lit_target_is_outside_its_heart_and_the_middle_inside() -> None:
+    # A lit disc that moves makes its events along its rim.
+    made = Regions(WIDTH, HEIGHT, 32, STEP_US, 80.0, self_centring=False)
+    load(made, [Place(50.0, 60.0, 0.0, 0.0, 9.0)])
+    t_us = np.arange(0, WINDOW_US, 10, dtype=np.int64)
+    angle = np.arange(len(t_us)) * 2.4
+    middle = np.arange(len(t_us)) % 10 == 0
+    x, y = (np.where(middle, at, np.rint(at + 4.0 * turn(angle))) for at, turn in ((50, np.cos), (60, np.sin)))
+    batch = EventBatch(t_us, x.astype(np.uint16), y.astype(np.uint16), np.cos(angle) > 0)
+    _, _, depth = made.follow(batch, WINDOW_US, Refusals()).of(0)
+    assert (depth == HEART_OF).tolist() == middle.tolist()

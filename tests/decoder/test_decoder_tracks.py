@@ -455,7 +455,7 @@ def test_a_region_that_is_lost_catches_up_from_where_the_tracker_saw_the_beacon(
 
 
 @pytest.mark.parametrize("measured", [False, True])
-def test_links_as_fast_as_the_setting_hear_the_core_alone(measured: bool) -> None:
+def test_fast_links_hear_the_core_slow_ones_the_heart_those_between_the_whole(measured: bool) -> None:
     made: dict[float, PulseReceiver] = {}
 
     def noted(name: str, **options: str | int):  # type: ignore[no-untyped-def]
@@ -463,13 +463,15 @@ def test_links_as_fast_as_the_setting_hear_the_core_alone(measured: bool) -> Non
         kind.receiver = lambda rate, _="default": made.setdefault(rate, PulseReceiver(says=False))  # type: ignore[method-assign]
         return kind
 
-    slow = Beacon(name="slow", protocol="pulse", payload=1, bit_rate=100)
-    fast = Beacon(name="fast", protocol="pulse", payload=1, bit_rate=4_000)
-    given = {"protocol": "pulse", "bit_rate": "auto"} if measured else {"beacons": (slow, fast)}
-    plan = LinkPlan(DecoderConfig(core_bit_rate=4_000.0, **given), noted, lambda t_us, on: 4_000.0)  # type: ignore[arg-type]
+    listed = [Beacon(name=f"b{rate}", protocol="pulse", payload=1, bit_rate=rate) for rate in (50, 1_000, 4_000)]
+    given = {"protocol": "pulse", "bit_rate": "auto"} if measured else {"beacons": tuple(listed)}
+    config = DecoderConfig(core_bit_rate=4_000.0, heart_bit_rate=50.0, **given)  # type: ignore[arg-type]
+    plan = LinkPlan(config, noted, lambda t_us, on: 4_000.0)
     made.clear()
     links = TrackLinks(plan)
+    depth = np.array([0, 1, 2, 0, 1], np.uint8)
     for k in range(2):
-        t_us = np.arange(10, dtype=np.int64) * 30_000 + k * 300_000
-        links.feed(t_us, np.ones(10, np.bool_), np.arange(10) % 2 == 0, (k + 1) * 300_000)
-    assert {rate: one.heard for rate, one in made.items()} == ({4_000.0: 10} if measured else {100.0: 20, 4_000.0: 10})
+        t_us = np.arange(5, dtype=np.int64) * 60_000 + k * 300_000
+        links.feed(t_us, np.ones(5, np.bool_), depth, (k + 1) * 300_000)
+    heard = {rate: one.heard for rate, one in made.items()}
+    assert heard == ({4_000.0: 6} if measured else {50.0: 2, 1_000.0: 10, 4_000.0: 6})

@@ -18,7 +18,7 @@ import numpy as np
 from heliograph.errors import Refusals
 from heliograph.events import EventBatch, Flags, Times
 from heliograph_services.decoder.regions import Regions, Routed
-from heliograph_services.decoder.routing import CORE, NEVER, P_XV, US_PER_S, VX, VY, Floats, Ints, X, Y
+from heliograph_services.decoder.routing import CORE, NEVER, P_XV, US_PER_S, VX, VY, Depths, Floats, Ints, X, Y
 
 _MIRROR: Final = np.array([[1.0], [1.0], [-1.0], [-1.0]])
 
@@ -32,7 +32,7 @@ class Heard:
 
     t_us: Times
     on: Flags
-    core: Flags
+    depth: Depths
     trail_us: Ints
     trail: Floats
 
@@ -105,8 +105,8 @@ class Backlog:
         heard: list[Heard] = []
         for i in range(n):
             pieces = [_unmirrored(routed.of(i)) for routed in reversed(before.pieces)]
-            t_us, on, core = _joined(pieces + [routed.of(i) for routed in after.pieces], born_us[i])
-            heard.append(Heard(t_us, on, core, times, motions[:, :, i].T.copy()))
+            t_us, on, depth = _joined(pieces + [routed.of(i) for routed in after.pieces], born_us[i])
+            heard.append(Heard(t_us, on, depth, times, motions[:, :, i].T.copy()))
         return heard
 
     def catch_up(self, regions: Regions, states: Floats, as_of_us: int, now_us: int) -> None:
@@ -151,12 +151,13 @@ def _mirrored(states: Floats) -> Floats:
     return mirrored
 
 
-def _unmirrored(heard: tuple[Times, Flags, Flags]) -> tuple[Times, Flags, Flags]:
+def _unmirrored(heard: tuple[Times, Flags, Depths]) -> tuple[Times, Flags, Depths]:
     return -heard[0][::-1], heard[1][::-1], heard[2][::-1]
 
 
-def _joined(pieces: list[tuple[Times, Flags, Flags]], from_us: int) -> tuple[Times, Flags, Flags]:
+def _joined(pieces: list[tuple[Times, Flags, Depths]], from_us: int) -> tuple[Times, Flags, Depths]:
     t_us = np.concatenate([np.empty(0, np.int64), *(one[0] for one in pieces)])
-    on, core = (np.concatenate([np.empty(0, np.bool_), *(one[k] for one in pieces)]) for k in (1, 2))
+    on = np.concatenate([np.empty(0, np.bool_), *(one[1] for one in pieces)])
+    depth = np.concatenate([np.empty(0, np.uint8), *(one[2] for one in pieces)])
     first = int(np.searchsorted(t_us, from_us))
-    return t_us[first:], on[first:], core[first:]
+    return t_us[first:], on[first:], depth[first:]

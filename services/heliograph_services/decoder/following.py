@@ -173,7 +173,7 @@ class Following:
         for one in heard:
             self.history.append(one.trail_us, one.trail)
         return [
-            (track, track.links.feed(one.t_us, one.on, one.core, now_us))
+            (track, track.links.feed(one.t_us, one.on, one.depth, now_us))
             for track, one in zip(begun, heard, strict=True)
         ]
 

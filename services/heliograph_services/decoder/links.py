@@ -6,8 +6,9 @@ during a contest cannot be attributed yet, so it is held, for `CONTEST_US` at mo
 nothing is held.
 
 Fast links (core_bit_rate and more) hear the core of the track's image alone (heliograph_services.decoder.routing): the
-halo's edges come late, by a share of the bit that breaks the lock. Slower ones hear the whole, where it is its number
-of events, and their spread over the scans of a slow sensor, that tell.
+halo's edges come late, by a share of the bit that breaks the lock. Slow ones (heart_bit_rate and
+less) hear its heart, where a lit target makes few events by moving; at 50 bit/s its motion drowns its edges. Those
+between hear the whole: it is the number of events, and their spread over the scans of a slow sensor, that tell there.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Modulatio
 from heliograph.link.modulations import modulation, names
 from heliograph.site import Beacon
 from heliograph_services.decoder.config import AUTO, DecoderConfig
+from heliograph_services.decoder.routing import CORE_OF, HEART_OF, Depths
 
 # Four frames of 20 bits at 100 bit/s take 0.8 s: who has not accepted by then is not about to.
 CONTEST_US: Final = 1_000_000
@@ -78,7 +80,8 @@ class LinkPlan:
         self, config: DecoderConfig, modulation_of: ModulationOf = modulation, measure: Measure | None = None
     ) -> None:
         self.loss_us = config.loss_us
-        self.core_bit_rate = config.core_bit_rate
+        self._core_bit_rate = config.core_bit_rate
+        self._heart_bit_rate = config.heart_bit_rate
         self.measure = measure
         self.rows = [
             _Row(key, _modulation(modulation_of, key, config.beacons), config.receiver)
@@ -111,6 +114,12 @@ class LinkPlan:
     def protocol(self, link: int) -> str:
         """Return the name of the link's modulation."""
         return self.rows[link].key.protocol
+
+    def depth(self, bit_rate: float) -> int:
+        """Return how deep in a track's image an event must lie for a link of that rate to hear it."""
+        if bit_rate <= self._heart_bit_rate:
+            return HEART_OF
+        return CORE_OF if bit_rate >= self._core_bit_rate else 0
 
     def loss_after_us(self, link: int, bit_rate: float) -> int:
         """Return how long an identity of the link lives without support: max(loss_us, 5 frames)."""
@@ -214,7 +223,7 @@ class TrackLinks:
         self._contenders: list[_Contender] = []
         self._winner: _Contender | None = None
         self._refusals = Refusals()
-        self._kept: list[tuple[Times, Flags, Flags]] = []
+        self._kept: list[tuple[Times, Flags, Depths]] = []
         self._rate: float | None = None
         self._try_us: int | None = None
         self.contested = 0  # windows in which two links accepted at once
@@ -228,23 +237,23 @@ class TrackLinks:
             self._contenders.append(_Contender(link, self._plan.receiver(link, rate), rate))
         self._contenders.sort(key=lambda one: one.link)
 
-    def feed(self, t_us: Times, on: Flags, core: Flags, until_us: int) -> list[Decided]:
+    def feed(self, t_us: Times, on: Flags, depth: Depths, until_us: int) -> list[Decided]:
         """Take the track's events before until_us (see Receiver.feed); return what is published of them.
 
         Args:
             t_us: (n,) int64.
             on: (n,) bool.
-            core: (n,) bool, which lie in the core of the track's image.
+            depth: (n,) uint8, how deep in the track's image they lie (heliograph_services.decoder.routing).
             until_us: there are no more events before this time.
         """
         if not self._contenders:
-            measured = self._measured(t_us, on, core, until_us)
+            measured = self._measured(t_us, on, depth, until_us)
             if measured is None:
                 return []
-            t_us, on, core = measured
+            t_us, on, depth = measured
         for one in self._contenders:
-            fast = one.bit_rate >= self._plan.core_bit_rate
-            one.held += one.receiver.feed(t_us[core] if fast else t_us, on[core] if fast else on, until_us)
+            heard = depth >= self._plan.depth(one.bit_rate)
+            one.held += one.receiver.feed(t_us[heard], on[heard], until_us)
             del one.held[:-HELD_LIMIT]
         return self._settle(until_us)
 
@@ -301,10 +310,10 @@ class TrackLinks:
             return False
         return now_us - identity.t_us <= self._plan.loss_after_us(one.link, one.bit_rate)
 
-    def _measured(self, t_us: Times, on: Flags, core: Flags, until_us: int) -> tuple[Times, Flags, Flags] | None:
+    def _measured(self, t_us: Times, on: Flags, depth: Depths, until_us: int) -> tuple[Times, Flags, Depths] | None:
         """Collect events until a bit rate is found; then enter the receivers and return what they are to hear."""
         if len(t_us) and sum(len(kept[0]) for kept in self._kept) < MEASURE_EVENTS:
-            self._kept.append((t_us, on, core))
+            self._kept.append((t_us, on, depth))
         if not self._kept:
             return None
         first_us = int(self._kept[0][0][0])
@@ -313,17 +322,17 @@ class TrackLinks:
         if until_us < self._try_us:
             return None
         all_t = np.concatenate([kept[0] for kept in self._kept])
-        all_on, all_core = (np.concatenate([kept[k] for kept in self._kept]) for k in (1, 2))
+        all_on, all_depth = (np.concatenate([kept[k] for kept in self._kept]) for k in (1, 2))
         self._rate = self._plan.measure(all_t, all_on) if self._plan.measure is not None else None
         if self._rate is not None:
             self._kept = []
             self._enter(range(len(self._plan.rows)))
-            return all_t, all_on, all_core
+            return all_t, all_on, all_depth
         self._try_us = until_us + MEASURE_US
         if until_us - first_us >= MEASURE_LIMIT_US:
             self._refusals[Refusal.NO_CLOCK] += 1
             late = int(np.searchsorted(all_t, until_us - MEASURE_LIMIT_US // 2))
-            self._kept = [(all_t[late:], all_on[late:], all_core[late:])] if late < len(all_t) else []
+            self._kept = [(all_t[late:], all_on[late:], all_depth[late:])] if late < len(all_t) else []
         return None
 
     def accepted(self, now_us: int) -> Accepted | None:

@@ -134,13 +134,13 @@ class Routed:
     starts: routing.Ints
     t_us: Times
     on: Flags
-    core: Flags
+    depth: routing.Depths
     outside: int
 
-    def of(self, i: int) -> tuple[Times, Flags, Flags]:
-        """Return times and polarities of the events of track i, and which lie in its image's core."""
+    def of(self, i: int) -> tuple[Times, Flags, routing.Depths]:
+        """Return times and polarities of the events of track i, and how deep in its image they lie."""
         first, behind = int(self.starts[i]), int(self.starts[i + 1])
-        return self.t_us[first:behind], self.on[first:behind], self.core[first:behind]
+        return self.t_us[first:behind], self.on[first:behind], self.depth[first:behind]
 
 
 class Regions:
@@ -295,11 +295,11 @@ class Regions:
         m = len(batch)
         step_us = self._step(window_us)
         steps = max(1, -(-window_us // step_us))
-        hit, label, core = np.empty(m, np.int64), np.empty(m, np.uint16), np.empty(m, np.bool_)
+        hit, label, depth = np.empty(m, np.int64), np.empty(m, np.uint16), np.empty(m, np.uint8)
         hits, paintings, off = routing.follow(
             batch.t_us, batch.x_px, batch.y_px, self.now_us, step_us, steps, self._self_centring,
             self._labels, self._painted, self._n_painted, self._state, self._centred_us, self._heard, self._counts,
-            self.n, self.noise_per_px_us, hit, label, core, self._seen,
+            self.n, self.noise_per_px_us, hit, label, depth, self._seen,
         )  # fmt: skip
         self.now_us += window_us
         if paintings:
@@ -310,4 +310,4 @@ class Regions:
         outside = m - hits - off
         covered = float(np.sum(np.square(self._state[REACH, : self.n]))) * np.pi
         self.noise_per_px_us = outside / (max(self._pixels - covered, 0.1 * self._pixels) * window_us)
-        return Routed(*sort_by_track(batch.t_us, batch.on, self.n, hits, hit, label, core), outside)
+        return Routed(*sort_by_track(batch.t_us, batch.on, self.n, hits, hit, label, depth), outside)

@@ -37,7 +37,11 @@ An event lies in the *core* of its region's image if::
 
 m is the median distance of the region's own events, learned one by one, m += CORE_STEP_PX sign(|event - c(t)| - m).
 Half of the events at least are in the core, whatever the target's size. Those outside come from the halo: edges of
-little contrast, which cross a pixel's threshold late.
+little contrast, which cross a pixel's threshold late. The *heart* is smaller::
+
+    |event - c(t)| <= max(HEART_SHARE m + HEART_MARGIN_PX, HEART_LEAST_PX) + sqrt(P_xx) + max(0, s - r)
+
+An image is flat in its middle, so that a lit target's motion makes few events there.
 """
 
 from __future__ import annotations
@@ -50,12 +54,13 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from heliograph.events import Flags, Pixels, Times
+from heliograph.events import Pixels, Times
 
 Floats = npt.NDArray[np.float64]
 Labels = npt.NDArray[np.uint16]
 Counts = npt.NDArray[np.int32]
 Ints = npt.NDArray[np.int64]
+Depths = npt.NDArray[np.uint8]
 
 # Rows of a state: a column a track.
 X: Final = 0
@@ -113,6 +118,14 @@ GROW_LIMIT_PX: Final = 8.0
 CORE_MARGIN_PX: Final = 0.5
 # The middle pixel and its eight neighbours: what a point of light lies on.
 CORE_LEAST_PX: Final = 1.5
+# Of m, and half the margin: a Gaussian has lost a fifth of its height there.
+HEART_SHARE: Final = 0.5
+HEART_MARGIN_PX: Final = 0.25
+# The middle pixel and the four beside it.
+HEART_LEAST_PX: Final = 1.0
+# Depths of an event in its region's image; 0 is the halo.
+CORE_OF: Final = 1
+HEART_OF: Final = 2
 # A hundred edges of 30 events move m by up to its whole; in between it trembles by a tenth of a pixel.
 CORE_STEP_PX: Final = 0.01
 # Uncertainty beyond a sensor's width, or beyond any speed, says no more.
@@ -334,7 +347,7 @@ def look_up(
     hits: int,
     hit: Ints,
     hit_label: Labels,
-    hit_core: Flags,
+    hit_depth: Depths,
     seen: npt.NDArray[np.uint8],
 ) -> tuple[int, int]:
     """Look up the events of a step and note their residuals; return (hits so far, events off the sensor).
@@ -358,7 +371,12 @@ def look_up(
         away = math.sqrt(zx * zx + zy * zy)
         hit[hits] = offset + j
         hit_label[hits] = label
-        hit_core[hits] = away <= max(state[CORE, i] + CORE_MARGIN_PX, CORE_LEAST_PX) + grown_px(state, i)
+        beyond = away - grown_px(state, i)
+        doubt_px = math.sqrt(state[P_XX, i])
+        if beyond <= max(HEART_SHARE * state[CORE, i] + HEART_MARGIN_PX, HEART_LEAST_PX) + doubt_px:
+            hit_depth[hits] = HEART_OF
+        else:
+            hit_depth[hits] = CORE_OF if beyond <= max(state[CORE, i] + CORE_MARGIN_PX, CORE_LEAST_PX) else 0
         hits += 1
         if away <= state[REACH, i]:
             state[CORE, i] += CORE_STEP_PX if away > state[CORE, i] else -CORE_STEP_PX
@@ -429,7 +447,7 @@ def follow(
     noise_per_px_us: float,
     hit: Ints,
     hit_label: Labels,
-    hit_core: Flags,
+    hit_depth: Depths,
     seen: npt.NDArray[np.uint8],
 ) -> tuple[int, int, int]:
     """Look up every event of a window, move and centre the regions; return (hits, repaintings, events off the sensor).
@@ -453,7 +471,7 @@ def follow(
         noise_per_px_us: events a pixel and microsecond outside all regions.
         hit: (m,) scratch: indices of the events that fell into a region.
         hit_label: (m,) scratch: their label.
-        hit_core: (m,) scratch: whether they lie in the core of their region's image.
+        hit_depth: (m,) scratch: how deep in their region's image they lie.
         seen: (height, width), zeros before and after.
     """
     hits, paintings, off, k = 0, 0, 0, 0
@@ -471,7 +489,7 @@ def follow(
                 paintings += 1
             hits, missed = look_up(
                 t_us[first:k], x_px[first:k], y_px[first:k], first, begin_us, step_us,
-                labels, state, heard, counts, hits, hit, hit_label, hit_core, seen,
+                labels, state, heard, counts, hits, hit, hit_label, hit_depth, seen,
             )  # fmt: skip
             off += missed
             carry(state, n, 0.5 * step_us)
