@@ -59,7 +59,7 @@ class DecoderConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     # A beacon of 50 px radius fills a sixth of a 640x480 sensor's height; beyond it is the scene, or a damaged number.
     region_max_px: Annotated[float, Meta(ge=0.5, le=1_000.0, description="the largest radius of a region")] = 80.0
     # 20 beacons on a scanned sensor, MAR of the whole and of the core: at 5 kbit/s .66 -> .99 (slow) and .09 -> .91
-    # (fast); the same up to 3.5 kbit/s; and behind a scan of 199 us at 2 kbit/s .73 -> .56: there the halo spreads an
+    # (fast); the same up to 3.5 kbit/s; and behind a scan of 199 us at 2 kbit/s .71 -> .55: there the halo spreads an
     # edge over the scans.
     core_bit_rate: Annotated[
         float, Meta(ge=0.0, le=1e9, description="bit/s from which a link hears the core of an image alone")
