@@ -143,10 +143,9 @@ class GridFollower:
         self._counters["targets"] += len(targets)
         free = targets.verdict != shape.TOO_MANY
         named, blinking = self.table.named, self._blinking()
-        self._follow(np.flatnonzero(named & blinking), targets, free, targets.switched, window.end_us)
+        self._follow(np.flatnonzero(named), targets, free, window.end_us)
         self._find(np.flatnonzero(named & blinking), targets, free, window.end_us)
-        for rows in (named & ~blinking, ~named):
-            self._follow(np.flatnonzero(rows), targets, free, free, window.end_us)
+        self._follow(np.flatnonzero(~named), targets, free, window.end_us)
         births.confirm(self.table, self._config, self._numbers, self._counters)
         # Too large to be used, so not taken by a track.
         left = free | (targets.verdict == shape.TOO_MANY)
@@ -264,20 +263,23 @@ class GridFollower:
         """Return (n,) bool: the rows that are seen as a light that is switched, and by what else passes, not at all."""
         return np.asarray((self.table.habit > BLINKING) & (self._config.confirm_blinks > 0))
 
-    def _follow(self, rows: Longs, targets: Targets, free: Flags, fit: Flags, end_us: int) -> None:
-        """Give the rows their targets among what is free and fit, update them, and take what they use out of `free`."""
-        may = free & fit
-        if len(rows) == 0 or not may.any():
+    def _follow(self, rows: Longs, targets: Targets, free: Flags, end_us: int) -> None:
+        """Give the rows their targets, update them, and take what they use out of `free`."""
+        if len(rows) == 0 or not free.any():
             return
         table = self.table
         seen_px = self._seen_px(targets.pixels)
-        offered = Candidates(targets.x_px, targets.y_px, seen_px, may)
+        offered = Candidates(targets.x_px, targets.y_px, seen_px, free)
         chosen = association.assign(table.state, table.cov, table.radius_px, table.size_px, rows, offered, self._gate)
-        place = np.flatnonzero(chosen >= 0)
+        # A merely passing edge at a blinking light's place is not the light.
+        strict, switched = self._blinking()[rows], targets.switched
+        place = np.flatnonzero((chosen >= 0) & (~strict | switched[chosen]))
         if len(place) == 0:
             return
-        free[chosen[place]] = may[chosen[place]] = False
-        part_of, parts = self._parts(rows[place], targets, seen_px, may)
+        free[chosen[place]] = False
+        part_of, parts = self._parts(rows[place], targets, seen_px, free)
+        lights = ~strict[place][part_of] | switched[parts]
+        part_of, parts = part_of[lights], parts[lights]
         free[parts] = False
         owner, used = np.concatenate([np.arange(len(place)), part_of]), np.concatenate([chosen[place], parts])
         see(table, self._filters, Sighting(rows[place], owner, used), targets, end_us, self._weights)
