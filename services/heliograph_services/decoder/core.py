@@ -5,7 +5,7 @@ One window (config.window_us, on an absolute grid) after another::
     tracks that take effect -> regions                 schedule, tracks, following, backlog
     events -> the track that hears them -> receivers   regions, routing, links
     frames and refusals, one message a window
-    identities: accepted, changed, lost
+    identities: accepted, changed, lost                identities
     on the grid of refresh_us: texts joined, identities refreshed; each second: link quality
     on the grid of tracker_period_us: statuses
 
@@ -18,15 +18,15 @@ from typing import Final
 
 from heliograph.core import Context
 from heliograph.errors import Refusal, Refusals
-from heliograph.link.contract import LinkFrame, Text
+from heliograph.link.contract import LinkFrame
 from heliograph.link.modulations import modulation
-from heliograph.messages import Change, Identification, Message, Tracks
+from heliograph.messages import Message, Tracks
 from heliograph.streams import Events
 from heliograph_services.decoder.config import AUTO, DecoderConfig
 from heliograph_services.decoder.following import Following
-from heliograph_services.decoder.links import Accepted, Decided, LinkPlan, Measure, ModulationOf
+from heliograph_services.decoder.identities import Identities
+from heliograph_services.decoder.links import Decided, LinkPlan, Measure, ModulationOf
 from heliograph_services.decoder.publish import BearingOf, FrameRow, Publisher, StatusRow
-from heliograph_services.decoder.regions import Place
 from heliograph_services.decoder.schedule import Schedule
 from heliograph_services.decoder.stream import EventStream, Window, fault
 from heliograph_services.decoder.tracks import SILENCE_US, Track
@@ -62,6 +62,7 @@ class DecoderCore:
         self._config = config
         self._plan = LinkPlan(config, modulation_of, measure or _measure(config))
         self._publisher = Publisher(config.camera, _bearing(camera_text))
+        self._identities = Identities(self._plan, self._publisher)
         self._schedule = Schedule(lockstep=context.lockstep, period_us=config.tracker_period_us)
         self._stream: EventStream | None = None
         self._following: Following | None = None
@@ -93,7 +94,7 @@ class DecoderCore:
         out: list[Message] = []
         for i, track in enumerate(self._following.tracks):
             if track.held is not None and track.links.accepted(now_us) is None:
-                out += self._lose(track, self._following.at(i, self._stream.now_us), now_us)
+                out += self._identities.lose(track, self._following.at(i, self._stream.now_us), now_us)
         return out
 
     def _refuse(self, reason: Refusal, n: int = 1) -> None:
@@ -159,7 +160,7 @@ class DecoderCore:
             return []
         out: list[Message] = []
         for i, track in enumerate(following.tracks):
-            out += self._end(track, following.at(i, now_us), now_us)
+            out += self._identities.end(track, following.at(i, now_us), now_us)
         following.restart(now_us)
         self._early = []
         return out
@@ -180,6 +181,8 @@ class DecoderCore:
         for reason, n in off.items():
             self._refuse(reason, n)
         self.counters["windows"] += 1
+        self.counters["identifications"] = self._identities.accepted
+        self.counters["identities_withheld"] = self._identities.withheld
         self.counters["events_routed"] += len(routed.t_us)
 
         now_us = window.t1_us - 1 if window.last else window.t1_us
@@ -190,7 +193,7 @@ class DecoderCore:
                 decided += track.links.flush(window.t1_us)
             rows += self._collected(following, i, decided)
         out += self._frames(following, rows, window.t0_us, now_us)
-        out += self._identities(following, now_us)
+        out += self._identities.decide(following, now_us)
         out += self._sweep(following, now_us)
         # A stream that ends on the grid has had its turn with the window before.
         if not window.last or now_us > window.t0_us:
@@ -207,11 +210,7 @@ class DecoderCore:
         self._told_us = now_us
         out: list[Message] = []
         # What a track has said so far, it has said under its old name.
-        for track, name in applied.renamed:
-            out += self._texts(track, name)
-        for track, _ in applied.ended:
-            out += self._texts(track)
-        out += self._renamed(before, following, {track.name: at for track, at in applied.ended}, now_us)
+        out += self._identities.renamed(before, following, applied, now_us)
         first = len(following.tracks) - len(applied.begun)
         for i, (_, decided) in enumerate(applied.begun):
             self._early += self._collected(following, first + i, decided)
@@ -220,26 +219,6 @@ class DecoderCore:
         self.counters["tracks_dropped"] += applied.dropped
         self.counters["tracks_relocated"] = following.relocated
         return out
-
-    def _renamed(
-        self, before: dict[str, Identification], following: Following, ended: dict[str, Place], now_us: int
-    ) -> list[Message]:
-        """Publish what names have lost, changed or gained, now that tracks have other names or have ended."""
-        out: list[Message] = []
-        now = {track.name for track in following.tracks if track.state is not None}
-        for name, state in before.items():
-            if name not in now:
-                out.append(self._publisher.again(state, name, now_us, "lost", ended.get(name)))
-        gained: list[Message] = []
-        for track in following.tracks:
-            mine = track.state
-            if mine is None or mine.track == track.name:
-                continue
-            old = before.get(track.name)
-            track.state = self._publisher.again(mine, track.name, now_us, "accepted" if old is None else "changed")
-            if old is None or (old.protocol, old.beacon) != (mine.protocol, mine.beacon):
-                gained.append(track.state)
-        return out + gained
 
     def _collected(self, following: Following, i: int, decided: list[Decided]) -> list[FrameRow]:
         """Note what track i has decided: return its frames, keep its texts until they are joined."""
@@ -269,21 +248,6 @@ class DecoderCore:
             return []
         return [self._publisher.frames(rows, refused, t0_us, t1_us)]
 
-    def _identities(self, following: Following, now_us: int) -> list[Message]:
-        out: list[Message] = []
-        for i, track in enumerate(following.tracks):
-            current = track.links.accepted(now_us)
-            before, track.held = track.held, current
-            if current is None:
-                if before is not None:
-                    track.held = before
-                    out += self._lose(track, following.at(i, now_us), now_us)
-            elif before is None or not _same(before, current):
-                t_us = min(current.identity.t_us, now_us)
-                out += self._state(track, following.at(i, t_us), t_us, "accepted" if before is None else "changed")
-                self.counters["identifications"] += 1
-        return out
-
     def _sweep(self, following: Following, now_us: int) -> list[Message]:
         """End what nobody follows: tracks that are not read, and of which the tracker has not told for long."""
         silent = now_us - self._told_us > SILENCE_US
@@ -296,7 +260,7 @@ class DecoderCore:
             return []
         out: list[Message] = []
         for track, at in ended:
-            out += self._end(track, at, now_us)
+            out += self._identities.end(track, at, now_us)
         following.end([track for track, _ in ended])
         return out
 
@@ -304,9 +268,9 @@ class DecoderCore:
         out: list[Message] = []
         if now_us % self._config.refresh_us == 0:
             for i, track in enumerate(following.tracks):
-                out += self._texts(track)
+                out += self._identities.texts(track)
                 if track.read:
-                    out += self._state(track, following.at(i, now_us), now_us, "refreshed")
+                    out += self._identities.state(track, following.at(i, now_us), now_us, "refreshed")
         if last or now_us % SECOND_US == 0:
             out += self._quality(following, now_us)
         if last or now_us % self._config.tracker_period_us == 0:
@@ -330,52 +294,11 @@ class DecoderCore:
                 out.append(self._publisher.link(track.name, self._plan.protocol(link), now_us, quality))
         return out
 
-    def _state(self, track: Track, at: Place, t_us: int, change: Change) -> list[Message]:
-        """Publish the identity that a track holds."""
-        held = track.held
-        if held is None:
-            return []
-        track.state = self._publisher.identification(
-            track.name,
-            self._plan.protocol(held.link),
-            self._plan.name(held.link, held.identity.payload),
-            held.identity,
-            at,
-            t_us,
-            change,
-        )
-        return [track.state]
-
-    def _lose(self, track: Track, at: Place, now_us: int) -> list[Message]:
-        """Publish what is left of a track's texts, and the loss of its identity."""
-        out = self._texts(track)
-        out += self._state(track, at, now_us, "lost")
-        track.held, track.state = None, None
-        return out
-
-    def _end(self, track: Track, at: Place, now_us: int) -> list[Message]:
-        return self._lose(track, at, now_us) if track.read else self._texts(track)
-
-    def _texts(self, track: Track, name: str | None = None) -> list[Message]:
-        """Publish the texts that have come since the last time, joined; under another name, if one is given."""
-        out: list[Message] = []
-        texts, track.texts = track.texts, []
-        for link in dict.fromkeys(link for link, _ in texts):
-            held = track.held
-            beacon = self._plan.name(link, held.identity.payload if held is not None and held.link == link else None)
-            run: list[Text] = [text for its_link, text in texts if its_link == link]
-            out += self._publisher.data(name or track.name, self._plan.protocol(link), beacon, run)
-        return out
-
 
 _COUNTERS: Final = (
-    "events", "events_routed", "frames", "identifications", "repaintings", "streams",
+    "events", "events_routed", "frames", "identifications", "identities_withheld", "repaintings", "streams",
     "tracks_adopted", "tracks_begun", "tracks_dropped", "tracks_relocated", "windows",
 )  # fmt: skip
-
-
-def _same(one: Accepted, other: Accepted) -> bool:
-    return one.link == other.link and one.identity.payload == other.identity.payload
 
 
 def _bearing(camera_text: str) -> BearingOf | None:

@@ -12,13 +12,15 @@ from heliograph_services.decoder.backlog import Backlog
 from heliograph_services.decoder.config import DecoderConfig
 from heliograph_services.decoder.history import History
 from heliograph_services.decoder.links import CONTEST_US, Decided, LinkPlan, TrackLinks
-from heliograph_services.decoder.regions import Doubt, Place, Regions, column
+from heliograph_services.decoder.regions import Doubt, Place, Regions, column, doubt
 from heliograph_services.decoder.tracks import Plan, Told, Track, plan_of, told_by
 
 # A frame is published at most a contest and some frames of 220 ms (11 bits at 50 bit/s) after its end.
 HISTORY_US: Final = CONTEST_US + 1_000_000
 # What is not read yields a twentieth at least at 10 Hz: it forgets a wrong centre within 2 s.
 LEAST_WEIGHT: Final = 0.05
+# A tracker's errors last about so long (the paper's runs at 10 Hz): what it says more often it says again.
+AGAIN_US: Final = 100_000
 # A region that has not been centred for so long follows nothing: twice the longest run of a code at 1 kbit/s.
 BLIND_US: Final = 20_000
 
@@ -57,6 +59,7 @@ class Following:
         self.size = (width, height)
         self.tracks: list[Track] = []
         self.relocated = 0
+        self._as_of_us: int | None = None  # of the last message
         self.regions = self._free_regions()
         self._spare = self._free_regions()
         self.backlog = Backlog(config.window_us, config.backlog_us, config.backlog_events)
@@ -71,6 +74,7 @@ class Following:
     def restart(self, now_us: int) -> None:
         """Forget all tracks and events; time begins anew at now_us."""
         self.tracks = []
+        self._as_of_us = None
         self.backlog.clear()
         self.history.clear()
         self.regions.restart(now_us)
@@ -116,6 +120,7 @@ class Following:
         """Let the regions that go on heed what is told of them; return the tracks with a new name."""
         told_of: dict[int, Told] = {track.serial: row for track, row in (*plan.update, *plan.adopt)}
         centred_us = self.regions.centred_us()
+        share = self._news(as_of_us)
         astray: list[tuple[int, Told]] = []
         for i, track in enumerate(self.tracks):
             row = told_of.get(track.serial)
@@ -126,28 +131,48 @@ class Following:
             blind = now_us - int(centred_us[i]) > BLIND_US
             reads = track.reading(now_us) and not blind
             if then[i].away_px(row.place) <= min(then[i].reach_px, row.place.reach_px):
-                self._heed(i, row, then[i], now_us - as_of_us, reads=reads)
+                self._heed(i, row, then[i], now_us - as_of_us, share, reads=reads)
             elif not reads:
-                astray.append((i, row))
+                astray.append((i, replace(row, doubt=self._told_doubt(i, row))))
         self._relocate(astray, as_of_us, now_us)
         renamed = [(track, track.name) for track, _ in plan.adopt]
         for track, row in plan.adopt:
             track.name = row.name
         return renamed
 
-    def _heed(self, i: int, row: Told, then: Place, elapsed_us: int, *, reads: bool) -> None:
-        """Correct region i by what is told of a place near where it was then."""
-        own, told = self.regions.doubt(i), row.doubt.after(elapsed_us, self.regions.drive(i))
+    def _heed(self, i: int, row: Told, then: Place, elapsed_us: int, share: float, *, reads: bool) -> None:
+        """Correct region i by what is told of a place near where it was then.
+
+        Args:
+            i: which region.
+            row: what is told.
+            then: where it was at the row's instant.
+            elapsed_us: since then.
+            share: of what a message says, how much is new (`_news`).
+            reads: whether the region's own events are being read.
+        """
+        own, told = self.regions.doubt(i), self._told_doubt(i, row).after(elapsed_us, self.regions.drive(i))
         least = 0.0 if reads or not self._config.self_centring else LEAST_WEIGHT
-        w, wv = (max(least, a / max(a + b, 1e-12)) for a, b in ((own.xx, told.xx), (own.vv, told.vv)))
+        (w, xx), (wv, vv) = (_heeded(a, b, share, least) for a, b in ((own.xx, told.xx), (own.vv, told.vv)))
         dv = (row.place.vx_px_s - then.vx_px_s, row.place.vy_px_s - then.vy_px_s)
         d = (row.place.x_px - then.x_px, row.place.y_px - then.y_px)
         self.regions.shift(
             i,
             (w * d[0], w * d[1]),
             (wv * dv[0], wv * dv[1]),
-            Doubt((1 - w) * own.xx, (1 - max(w, wv)) * own.xv, (1 - wv) * own.vv),
+            doubt(xx, (1 - max(w, wv)) * own.xv, vv),
         )
+
+    def _told_doubt(self, i: int, row: Told) -> Doubt:
+        """Return how sure a row is, at its instant: of what is not seen, no surer than region i's own motion allows."""
+        unseen = Doubt(0.0, 0.0, 0.0).after(row.unseen_us, self.regions.drive(i))
+        return doubt(row.doubt.xx + unseen.xx, row.doubt.xv + unseen.xv, row.doubt.vv + unseen.vv)
+
+    def _news(self, as_of_us: int) -> float:
+        """Return how much of a message is new since the one before, and note it: 1 at AGAIN_US apart and more."""
+        since_us = AGAIN_US if self._as_of_us is None else as_of_us - self._as_of_us
+        self._as_of_us = as_of_us
+        return min(max(since_us, 0), AGAIN_US) / AGAIN_US
 
     def _relocate(self, astray: list[tuple[int, Told]], as_of_us: int, now_us: int) -> None:
         """Let regions that have lost their targets catch up with them from where the tracker saw them."""
@@ -182,3 +207,14 @@ def _not_twice(row: Told, heard: list[Place], now_us: int) -> Told:
     """Return a new track's row; what lies on the spot of one that is being read does not read its past once more."""
     near = any(row.place.away_px(at) <= 0.5 * min(row.place.reach_px, at.reach_px) for at in heard)
     return replace(row, born_us=now_us) if near else row
+
+
+def _heeded(own: float, told: float, share: float, least: float) -> tuple[float, float]:
+    """Return how far a region goes to what is told, and the variance that is left.
+
+    w = own / (own + told) of the two variances, at least `least`; but only a share of what is told is new, so that what
+    is said again and again moves the region, and does not make it surer, than the tracker itself is at most.
+    """
+    w = max(least * share, own / max(own + told, 1e-12))
+    fresh = max(least * share, own * share / max(own * share + told, 1e-12))
+    return w, min((1.0 - fresh) * own, max(told, (1.0 - w) * own))

@@ -24,6 +24,7 @@ from heliograph.events import Flags, Times
 from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Modulation, Receiver, Text, Verdict
 from heliograph.link.modulations import modulation, names
 from heliograph.site import Beacon
+from heliograph.units import BIT_RATE_MIN
 from heliograph_services.decoder.config import AUTO, DecoderConfig
 from heliograph_services.decoder.routing import CORE_OF, HEART_OF, Depths
 
@@ -123,8 +124,13 @@ class LinkPlan:
 
     def loss_after_us(self, link: int, bit_rate: float) -> int:
         """Return how long an identity of the link lives without support: max(loss_us, 5 frames)."""
+        return max(self.loss_us, self.frames_us(link, LOSS_FRAMES, bit_rate))
+
+    def frames_us(self, link: int, n: int, bit_rate: float | None = None) -> int:
+        """Return how long n frames of the link take at that rate; without one, at its nominal one."""
         bits = getattr(self.rows[link].modulation, "frame_bits", FRAME_BITS)
-        return max(self.loss_us, round(LOSS_FRAMES * bits / max(bit_rate, 1.0) * 1e6))
+        rate = bit_rate or self.rows[link].key.bit_rate or BIT_RATE_MIN
+        return round(n * bits / max(rate, 1.0) * 1e6)
 
     def listed(self, link: int, payload: int | None) -> str | None:
         """Return the name of the listed beacon that sends this payload on this link."""

@@ -51,6 +51,7 @@ class Told:
     place: Place
     radius_px: float
     doubt: Doubt
+    unseen_us: int  # before the message's instant
 
 
 @dataclass(slots=True)
@@ -70,6 +71,7 @@ class Track:
     told: bool = True  # the newest Tracks message has it
     texts: list[tuple[int, Text]] = field(default_factory=list)  # link, text; since the last refresh
     state: Identification | None = None  # the last one published
+    withheld_us: int = -1  # what supports its identity no later than this counts no more
     frame_us: int = -1  # end of its last frame
     frame_link: int = 0
 
@@ -129,8 +131,9 @@ def told_by(message: Tracks, followed: set[str], config: DecoderConfig) -> tuple
             max(message.x_vx_cov_px2_s[i], message.y_vy_cov_px2_s[i], key=abs),
             max(message.vx_var_px2_s2[i], message.vy_var_px2_s2[i], (LEAST_PX_S + LEAST_SHARE * speed_px_s) ** 2),
         )
+        unseen_us = min(max(message.as_of_us - message.seen_us[i], 0), SILENCE_US)
         radius_px = min(message.radius_px[i], config.region_max_px)
-        rows.append(Told(name, min(message.born_us[i], message.as_of_us), at, radius_px, sure))
+        rows.append(Told(name, min(message.born_us[i], message.as_of_us), at, radius_px, sure, unseen_us))
     return rows, len(message.track) - len(rows)
 
 

@@ -1,0 +1,184 @@
+"""Which tracks are published as identified, and as what: accepted, changed, refreshed, lost; and their texts.
+
+A track's receivers say what they have read, and for how long it counts (`TrackLinks.accepted`). What is published says
+besides where the beacon is, and that there is one. So an identity is *withheld* from a track
+
+- whose place is not known any more: the region has not been centred on its own events for `BLIND_US`, and lies off the
+  sensor with all it hears; or nothing has been read for `STALE_FRAMES` frames either, and its centre is off the
+  sensor, or its doubt is beyond what it can hear, 3 sqrt(P_xx) > r + GROW_LIMIT_PX (routing);
+- which another one has left behind: that has read the same payload on the same link for `STALE_FRAMES` frames since;
+- on the spot of another one that reads the same: one light is one beacon. What is held already, then the larger margin,
+  keeps it.
+
+Two that both read one payload at two places are two beacons of one payload, and both keep it. Texts have no payload:
+only the first rule is theirs. An identity that is withheld is published as lost, once; with the next frame that
+supports it, it is accepted again, unless a reason still stands.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from heliograph.link.contract import Text
+from heliograph.messages import Change, Identification, Message
+from heliograph_services.decoder.following import BLIND_US, Applied, Following
+from heliograph_services.decoder.links import Accepted, LinkPlan
+from heliograph_services.decoder.publish import Publisher
+from heliograph_services.decoder.regions import Place
+from heliograph_services.decoder.routing import GROW_LIMIT_PX
+from heliograph_services.decoder.tracks import Track
+
+# Receivers drop single frames, and look ahead by one or two; a LED dark for five is rare, and costs nothing: see above.
+STALE_FRAMES: Final = 5
+SIGMAS: Final = 3.0
+
+
+class Identities:
+    """Makes the records of what tracks hold.
+
+    Args:
+        plan: the links of the site.
+        publisher: makes them.
+    """
+
+    def __init__(self, plan: LinkPlan, publisher: Publisher) -> None:
+        self._plan = plan
+        self._publisher = publisher
+        self.accepted = 0  # identities accepted or changed, counted
+        self.withheld = 0  # identities lost by the rules above, counted
+
+    def decide(self, following: Following, now_us: int) -> list[Message]:
+        """Return what tracks have accepted, changed or lost up to now_us."""
+        out: list[Message] = []
+        found = [track.links.accepted(now_us) for track in following.tracks]
+        withheld = self._withheld(following, found, now_us)
+        for i, (track, one) in enumerate(zip(following.tracks, found, strict=True)):
+            if one is not None and i in withheld:
+                track.withheld_us = max(track.withheld_us, one.identity.t_us)
+                self.withheld += track.held is not None
+            current = one if one is not None and one.identity.t_us > track.withheld_us else None
+            before = track.held
+            if current is None:
+                out += self.lose(track, following.at(i, now_us), now_us)
+            elif before is None or not _same(before, current):
+                track.held = current
+                t_us = min(current.identity.t_us, now_us)
+                out += self.state(track, following.at(i, t_us), t_us, "accepted" if before is None else "changed")
+                self.accepted += 1
+            else:
+                track.held = current
+        return out
+
+    def _withheld(self, following: Following, found: list[Accepted | None], now_us: int) -> set[int]:
+        """Return the tracks that may not be published as what they have read."""
+        centred_us = following.regions.centred_us()
+        out: set[int] = set()
+        alike: dict[tuple[int, int], list[int]] = {}
+        for i, one in enumerate(found):
+            if one is not None and now_us - int(centred_us[i]) > BLIND_US:
+                unread = now_us - one.identity.t_us > max(BLIND_US, self._plan.frames_us(one.link, STALE_FRAMES))
+                if _adrift(following, i, unread=unread):
+                    out.add(i)
+            if one is not None and one.identity.payload is not None:
+                alike.setdefault((one.link, one.identity.payload), []).append(i)
+        for (link, _), group in alike.items():
+            if len(group) > 1:
+                out |= self._doubles(following, found, group, link)
+        return out
+
+    def _doubles(self, following: Following, found: list[Accepted | None], group: list[int], link: int) -> set[int]:
+        """Return those of a group, all of one payload, that another one has left behind, or on whose spot it is."""
+        held = {i: one.identity for i in group if (one := found[i]) is not None}
+        stale_us = max(one.t_us for one in held.values()) - self._plan.frames_us(link, STALE_FRAMES)
+        out = {i for i, one in held.items() if one.t_us < stale_us}
+        kept: list[Place] = []
+        # What is published stays before what would be: two of equal margins do not take turns.
+        for i in sorted(held.keys() - out, key=lambda i: (not following.tracks[i].read, -held[i].margin, i)):
+            at = following.regions.place(i)
+            if any(at.away_px(other) <= min(at.reach_px, other.reach_px) for other in kept):
+                out.add(i)
+            else:
+                kept.append(at)
+        return out
+
+    def renamed(
+        self, before: dict[str, Identification], following: Following, applied: Applied, now_us: int
+    ) -> list[Message]:
+        """Publish texts under the names that their tracks had, and what names have lost, changed or gained."""
+        out: list[Message] = []
+        for track, name in applied.renamed:
+            out += self.texts(track, name)
+        for track, _ in applied.ended:
+            out += self.texts(track)
+        ended = {track.name: at for track, at in applied.ended}
+        now = {track.name for track in following.tracks if track.state is not None}
+        for name, state in before.items():
+            if name not in now:
+                out.append(self._publisher.again(state, name, now_us, "lost", ended.get(name)))
+        gained: list[Message] = []
+        for track in following.tracks:
+            mine = track.state
+            if mine is None or mine.track == track.name:
+                continue
+            old = before.get(track.name)
+            track.state = self._publisher.again(mine, track.name, now_us, "accepted" if old is None else "changed")
+            if old is None or (old.protocol, old.beacon) != (mine.protocol, mine.beacon):
+                gained.append(track.state)
+        return out + gained
+
+    def state(self, track: Track, at: Place, t_us: int, change: Change) -> list[Message]:
+        """Publish the identity that a track holds."""
+        held = track.held
+        if held is None:
+            return []
+        track.state = self._publisher.identification(
+            track.name,
+            self._plan.protocol(held.link),
+            self._plan.name(held.link, held.identity.payload),
+            held.identity,
+            at,
+            t_us,
+            change,
+        )
+        return [track.state]
+
+    def lose(self, track: Track, at: Place, now_us: int) -> list[Message]:
+        """Publish what is left of a track's texts, and the loss of its identity; nothing without one."""
+        if track.held is None:
+            return []
+        out = self.texts(track)
+        out += self.state(track, at, now_us, "lost")
+        track.held, track.state = None, None
+        return out
+
+    def end(self, track: Track, at: Place, now_us: int) -> list[Message]:
+        """Publish what a track that ends leaves: its texts, and the loss of what it held."""
+        return self.lose(track, at, now_us) if track.read else self.texts(track)
+
+    def texts(self, track: Track, name: str | None = None) -> list[Message]:
+        """Publish the texts that have come since the last time, joined; under another name, if one is given."""
+        out: list[Message] = []
+        texts, track.texts = track.texts, []
+        for link in dict.fromkeys(link for link, _ in texts):
+            held = track.held
+            beacon = self._plan.name(link, held.identity.payload if held is not None and held.link == link else None)
+            run: list[Text] = [text for its_link, text in texts if its_link == link]
+            out += self._publisher.data(name or track.name, self._plan.protocol(link), beacon, run)
+        return out
+
+
+def _adrift(following: Following, i: int, *, unread: bool) -> bool:
+    """Return whether the place of a blind region is not known any more."""
+    if following.size == (1, 1):
+        return False  # there is but one place
+    at = following.regions.place(i)
+    sides = zip((at.x_px, at.y_px), following.size, strict=True)
+    off_px = max(max(-0.5 - p, p - (side - 0.5)) for p, side in sides)
+    lost = SIGMAS * float(np.sqrt(following.regions.doubt(i).xx)) > at.reach_px + GROW_LIMIT_PX
+    return off_px > at.reach_px or (unread and (off_px > 0.0 or lost))
+
+
+def _same(one: Accepted, other: Accepted) -> bool:
+    return one.link == other.link and one.identity.payload == other.identity.payload
