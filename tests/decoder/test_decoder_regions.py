@@ -261,6 +261,7 @@ def test_the_core_follows_the_median_distance_of_the_events_whatever_is_told_of_
     for told_px in (0.5, 12.0):
         made = Regions(WIDTH, HEIGHT, 32, STEP_US, 80.0)
         made.load(column(Place(80.0, 60.0, 0.0, 0.0, 20.0), told_px, SURE)[:, None], np.full(1, NEVER), 0)
+        x, y, depth = np.empty(0), np.empty(0), np.empty(0, np.uint8)
         for k in range(4):
             t_us = np.sort(rng.integers(0, WINDOW_US, n // 4)) + k * WINDOW_US
             x, y = (np.rint(rng.normal(middle, sigma_px, n // 4)) for middle in (80, 60))
@@ -279,6 +280,7 @@ def test_of_a_point_of_light_the_nine_pixels_about_it_are_the_core() -> None:
     batch = EventBatch(t_us, x_px, np.full(len(t_us), 60, np.uint16), np.ones(len(t_us), np.bool_))
     made = Regions(WIDTH, HEIGHT, 32, STEP_US, 80.0, self_centring=False)
     load(made, [Place(50.0, 60.0, 0.0, 0.0, 5.0)])
+    depth = np.empty(0, np.uint8)
     for k in range(3):
         later = EventBatch(batch.t_us + k * WINDOW_US, batch.x_px, batch.y_px, batch.on)
         _, _, depth = made.follow(later, WINDOW_US, Refusals()).of(0)

@@ -461,17 +461,21 @@ def test_a_region_that_is_lost_catches_up_from_where_the_tracker_saw_the_beacon(
 
 
 @pytest.mark.parametrize("measured", [False, True])
-def test_fast_links_hear_the_core_slow_ones_the_heart_those_between_the_whole(measured: bool) -> None:
+def test_fast_links_hear_the_core_slow_ones_the_heart_those_between_the_whole(
+    measured: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     made: dict[float, PulseReceiver] = {}
 
     def noted(name: str, **options: str | int):  # type: ignore[no-untyped-def]
         kind = pulse_only(name, **options)
-        kind.receiver = lambda rate, _="default": made.setdefault(rate, PulseReceiver(says=False))  # type: ignore[method-assign]
+        monkeypatch.setattr(
+            kind, "receiver", lambda rate, _="default": made.setdefault(rate, PulseReceiver(says=False))
+        )
         return kind
 
     listed = [Beacon(name=f"b{rate}", protocol="pulse", payload=1, bit_rate=rate) for rate in (50, 1_000, 4_000)]
     given = {"protocol": "pulse", "bit_rate": "auto"} if measured else {"beacons": tuple(listed)}
-    config = DecoderConfig(core_bit_rate=4_000.0, heart_bit_rate=50.0, **given)  # type: ignore[arg-type]
+    config = DecoderConfig(core_bit_rate=4_000.0, heart_bit_rate=50.0, **given)
     plan = LinkPlan(config, noted, lambda t_us, on: 4_000.0)
     made.clear()
     links = TrackLinks(plan)
@@ -481,3 +485,10 @@ def test_fast_links_hear_the_core_slow_ones_the_heart_those_between_the_whole(me
         links.feed(t_us, np.ones(5, np.bool_), depth, (k + 1) * 300_000)
     heard = {rate: one.heard for rate, one in made.items()}
     assert heard == ({4_000.0: 6} if measured else {50.0: 2, 1_000.0: 10, 4_000.0: 6})
+
+
+def test_the_papers_receiver_hears_the_whole_at_every_rate() -> None:
+    listed = [Beacon(name=f"b{rate}", protocol="seed11", payload=42, bit_rate=rate) for rate in (50, 1_000, 4_000)]
+    ours, papers = (LinkPlan(DecoderConfig(beacons=tuple(listed), receiver=name)) for name in ("default", "paper"))
+    assert [ours.depth(i, row.key.bit_rate or 0.0) > 0 for i, row in enumerate(ours.rows)] == [True, False, True]
+    assert [papers.depth(i, row.key.bit_rate or 0.0) for i, row in enumerate(papers.rows)] == [0, 0, 0]

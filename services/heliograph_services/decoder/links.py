@@ -116,8 +116,13 @@ class LinkPlan:
         """Return the name of the link's modulation."""
         return self.rows[link].key.protocol
 
-    def depth(self, bit_rate: float) -> int:
-        """Return how deep in a track's image an event must lie for a link of that rate to hear it."""
+    def depth(self, link: int, bit_rate: float) -> int:
+        """Return how deep in a track's image an event must lie for a link of that rate to hear it.
+
+        Only our own receivers have been matched to a part of the image: others' rules are for all of a target's events.
+        """
+        if self.rows[link].receiver != "default":
+            return 0
         if bit_rate <= self._heart_bit_rate:
             return HEART_OF
         return CORE_OF if bit_rate >= self._core_bit_rate else 0
@@ -258,7 +263,7 @@ class TrackLinks:
                 return []
             t_us, on, depth = measured
         for one in self._contenders:
-            heard = depth >= self._plan.depth(one.bit_rate)
+            heard = depth >= self._plan.depth(one.link, one.bit_rate)
             one.held += one.receiver.feed(t_us[heard], on[heard], until_us)
             del one.held[:-HELD_LIMIT]
         return self._settle(until_us)
