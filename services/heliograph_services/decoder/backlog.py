@@ -4,7 +4,8 @@ A track comes with its state at an instant A that has passed. From A its path is
 now through the kept windows, centred on its own events both ways (heliograph_services.decoder.routing; backwards in
 mirrored time, t -> -t, where all that is known of filters holds). What it would have heard is given to its receiver
 first. So a track that arrives late loses nothing, as far back as the backlog goes; and a region that has lost its
-target catches up with it from A.
+target catches up with it from A. Of a window with many events those near the regions alone are looked at
+(heliograph_services.decoder.tiles).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from heliograph.errors import Refusals
 from heliograph.events import EventBatch, Flags, Times
 from heliograph_services.decoder.regions import Regions, Routed
 from heliograph_services.decoder.routing import CORE, NEVER, P_XV, US_PER_S, VX, VY, Depths, Floats, Ints, X, Y
+from heliograph_services.decoder.tiles import Tiles
 
 _MIRROR: Final = np.array([[1.0], [1.0], [-1.0], [-1.0]])
 
@@ -41,6 +43,7 @@ class Heard:
 class _Window:
     t0_us: int
     batch: EventBatch
+    tiles: Tiles
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +56,14 @@ class Backlog:
     """The raw events of the last windows, bounded by time and by number.
 
     Args:
+        size: the sensor's width and height, px.
         window_us: length of a window.
         limit_us: how far back it goes.
         limit_events: how many events it holds at most.
     """
 
-    def __init__(self, window_us: int, limit_us: int, limit_events: int) -> None:
+    def __init__(self, size: tuple[int, int], window_us: int, limit_us: int, limit_events: int) -> None:
+        self._size = size
         self._window_us = window_us
         self._limit_us = limit_us
         self._limit_events = limit_events
@@ -72,7 +77,7 @@ class Backlog:
 
     def push(self, t0_us: int, batch: EventBatch) -> None:
         """Keep the window that begins at t0_us; let the oldest go."""
-        self._windows.append(_Window(t0_us, batch))
+        self._windows.append(_Window(t0_us, batch, Tiles(batch, *self._size)))
         self.events += len(batch)
         oldest_us = t0_us + self._window_us - self._limit_us
         while self._windows and (self._windows[0].t0_us < oldest_us or self.events > self._limit_events):
@@ -92,7 +97,7 @@ class Backlog:
         pivot_us, start = self._pivot(states, as_of_us, now_us)
         earlier = [w for w in self._windows if min(born_us) - self._window_us < w.t0_us < pivot_us]
         regions.load(_mirrored(start), np.full(n, NEVER), -pivot_us)
-        before = self._pass(regions, [_back(w, self._window_us) for w in reversed(earlier)])
+        before = self._pass(regions, earlier[::-1], back=True)
         # Centred on the way back is centred at the pivot: the forward pass begins there.
         centred = np.where(regions.centred_us() == NEVER, NEVER, pivot_us)
         start[CORE] = regions.states()[CORE]
@@ -127,22 +132,23 @@ class Backlog:
         regions.advance(now_us - regions.now_us)
         return passed
 
-    def _pass(self, regions: Regions, windows: list[_Window]) -> _Passed:
-        """Follow all regions through the windows."""
+    def _pass(self, regions: Regions, windows: list[_Window], *, back: bool = False) -> _Passed:
+        """Follow all regions through the windows; back in mirrored time."""
         passed = _Passed([], [])
         ignored = Refusals()  # counted when they came
         for window in windows:
-            regions.advance(window.t0_us - regions.now_us)
-            passed.pieces.append(regions.follow(window.batch, self._window_us, ignored))
+            t0_us = -(window.t0_us + self._window_us) if back else window.t0_us
+            regions.advance(t0_us - regions.now_us)
+            batch, elsewhere = window.tiles.near(*regions.ears(self._window_us))
+            batch = _back(batch) if back else batch
+            passed.pieces.append(regions.follow(batch, self._window_us, ignored, elsewhere))
             passed.trail.append((regions.now_us, regions.motion()))
         return passed
 
 
-def _back(window: _Window, window_us: int) -> _Window:
-    """Return a window in mirrored time."""
-    batch = window.batch
-    mirrored = EventBatch(-batch.t_us[::-1], batch.x_px[::-1].copy(), batch.y_px[::-1].copy(), batch.on[::-1].copy())
-    return _Window(-(window.t0_us + window_us), mirrored)
+def _back(batch: EventBatch) -> EventBatch:
+    """Return events in mirrored time."""
+    return EventBatch(-batch.t_us[::-1], batch.x_px[::-1].copy(), batch.y_px[::-1].copy(), batch.on[::-1].copy())
 
 
 def _mirrored(states: Floats) -> Floats:

@@ -62,7 +62,7 @@ class Following:
         self._as_of_us: int | None = None  # of the last message
         self.regions = self._free_regions()
         self._spare = self._free_regions()
-        self.backlog = Backlog(config.window_us, config.backlog_us, config.backlog_events)
+        self.backlog = Backlog(self.size, config.window_us, config.backlog_us, config.backlog_events)
         self.history = History(-(-HISTORY_US // config.window_us))
 
     def _free_regions(self) -> Regions:

@@ -51,6 +51,8 @@ CORE_START: Final = 0.5
 # that asks for a quarter of a millisecond.
 STEP_PX: Final = 3.0
 STEP_PARTS: Final = (1, 2, 4, 8)
+# Beyond its way through a window: what its own events may move a region by.
+EAR_MARGIN_PX: Final = 8.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,13 +286,20 @@ class Regions:
         parts = next((k for k in STEP_PARTS if step_us * per_us <= STEP_PX * k), STEP_PARTS[-1])
         return max(step_us // parts, 1)
 
-    def follow(self, batch: EventBatch, window_us: int, refusals: Refusals) -> Routed:
+    def ears(self, window_us: int) -> tuple[Floats, Floats, Floats]:
+        """Return x, y and how far (px) any region may hear through the next window_us, (n,) each."""
+        x_px, y_px, vx, vy, reach = self._state[[X, Y, VX, VY, REACH], : self.n]
+        ways_px = np.hypot(vx, vy) * (window_us / US_PER_S)
+        return x_px, y_px, reach + ways_px + routing.GROW_LIMIT_PX + EAR_MARGIN_PX
+
+    def follow(self, batch: EventBatch, window_us: int, refusals: Refusals, elsewhere: int = 0) -> Routed:
         """Move and centre the regions through [now_us, now_us + window_us); return its events by track.
 
         Args:
             batch: the window's events; one that lies on its end belongs to the last step.
             window_us: its length.
             refusals: counts what lies off the sensor.
+            elsewhere: how many events of the window are left out that no region hears (`ears`).
         """
         m = len(batch)
         step_us = self._step(window_us)
@@ -307,7 +316,7 @@ class Regions:
             self.repaintings += paintings
         if off:
             refusals[Refusal.OFF_SENSOR] += off
-        outside = m - hits - off
+        outside = m + elsewhere - hits - off
         covered = float(np.sum(np.square(self._state[REACH, : self.n]))) * np.pi
         self.noise_per_px_us = outside / (max(self._pixels - covered, 0.1 * self._pixels) * window_us)
         return Routed(*sort_by_track(batch.t_us, batch.on, self.n, hits, hit, label, depth), outside)

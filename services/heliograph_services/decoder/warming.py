@@ -11,6 +11,7 @@ from heliograph.messages import Tracks
 from heliograph.streams import Events
 from heliograph_services.decoder.config import DecoderConfig
 from heliograph_services.decoder.core import DecoderCore
+from heliograph_services.decoder.tiles import FEW_EVENTS, WHOLE_LOOKS, Tiles
 
 
 def warm_all() -> None:
@@ -20,6 +21,7 @@ def warm_all() -> None:
     receiver of text compiles behind its lock would else stall the first beacon of a site.
     """
     text_receiver.warm()
+    _tiles()
     core = DecoderCore(DecoderConfig(protocol="auto"), Context(instance="warm", boot="0", lockstep=False))
     for k in range(40):
         t0_us = k * 5_000
@@ -35,6 +37,14 @@ def warm_all() -> None:
                 end=k == 39,
             )
         )  # fmt: skip
+
+
+def _tiles() -> None:
+    n = FEW_EVENTS + 1
+    dense = EventBatch(np.zeros(n, np.int64), np.zeros(n, np.uint16), np.zeros(n, np.uint16), np.zeros(n, np.bool_))
+    tiles = Tiles(dense, 16, 16)
+    for _ in range(WHOLE_LOOKS + 1):
+        tiles.near(*np.zeros((3, 1)))
 
 
 def _tracks(as_of_us: int) -> Tracks:
