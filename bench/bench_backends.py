@@ -93,7 +93,7 @@ def clustering(rng: np.random.Generator, runs: int) -> None:
         on, off = np.ones(n, np.uint8), np.zeros(n, np.uint8)
 
         def whole(x: Any = x, y: Any = y, on: Any = on, off: Any = off) -> tuple[Active, npt.NDArray[np.int32]]:
-            active = ours.distinct(x, y, on, off)
+            active = ours.distinct(x, y, on, off, np.zeros(len(x), np.int64))
             return active, ours.labels(active)[0]
 
         took = median_ms(whole, runs)
@@ -159,7 +159,8 @@ def window_of(x: Longs, y: Longs, index: int) -> Window:
     none = np.zeros(len(x), np.uint8)
     on, off = (count, none) if index % 2 == 0 else (none, count)
     start_us = index * WINDOW_US
-    return Window(start_us, start_us + WINDOW_US, x.astype(np.uint16), y.astype(np.uint16), on, off)
+    places = x.astype(np.uint16), y.astype(np.uint16)
+    return Window(start_us, start_us + WINDOW_US, *places, on, off, np.zeros(len(x), np.int64), WINDOW_US)
 
 
 def windows(rng: np.random.Generator, runs: int) -> None:
@@ -170,7 +171,7 @@ def windows(rng: np.random.Generator, runs: int) -> None:
         many = TrackerConfig(clustering=config.clustering, kalman=config.kalman, max_tracks=2 * TRACKS)
         follower = GridFollower(
             many, backends.chosen(many), NoMotion(), width=1280, height=720, pool_px=1, window_us=WINDOW_US,
-            numbers=Numbers(), counters=dict.fromkeys(COUNTERS, 0), refusals=Counter(),
+            tick_us=WINDOW_US,            numbers=Numbers(), counters=dict.fromkeys(COUNTERS, 0), refusals=Counter(),
         )  # fmt: skip
         for index in range(NAMED_AFTER):
             follower.step(window_of(x, y, index))
@@ -191,7 +192,7 @@ def windows(rng: np.random.Generator, runs: int) -> None:
     def whole(module: Any) -> None:
         xs, ps = state.copy(), cov.copy()
         module.predict(xs, ps, DT_S, Q)
-        targets = Candidates(z[:, 0].copy(), z[:, 1].copy(), full, np.ones(TRACKS, np.bool_))
+        targets = Candidates(z[:, 0].copy(), z[:, 1].copy(), full, np.zeros(TRACKS), np.ones(TRACKS, np.bool_))
         chosen = association.assign(xs, ps, np.full(TRACKS, 2.0), full, rows, targets, gate)
         module.update(xs, ps, rows, z[chosen], r, NO_LIMIT_PX_S)
 

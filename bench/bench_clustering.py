@@ -59,7 +59,7 @@ def by_grid(
     clusterer: Clusterer, x: Pixels, y: Pixels, on: Counts, off: Counts
 ) -> tuple[Active, npt.NDArray[np.int32]]:
     """Return the distinct pixels and their labels."""
-    active = clusterer.distinct(x, y, on, off)
+    active = clusterer.distinct(x, y, on, off, np.zeros(len(x), np.int64))
     return active, clusterer.labels(active)[0]
 
 

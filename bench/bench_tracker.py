@@ -115,10 +115,11 @@ def clustering(runs: int = 15) -> dict[str, Any]:
 
     x, y = peers.corpus(1_000_000, np.random.default_rng(SEED))
     on, off = np.ones(len(x), np.uint8), np.zeros(len(x), np.uint8)
+    tick = np.zeros(len(x), np.int64)
     size = {"width": 640, "height": 480, "eps_px": peers.FAST.eps_px, "min_events": peers.FAST.min_events}
     ours, theirs = (peers.backends.chosen(config).clustering(**size) for config in (peers.FAST, peers.SLOW))
-    ours_ms = peers.median_ms(lambda: ours.labels(ours.distinct(x, y, on, off)), runs)
-    active = ours.distinct(x, y, on, off)
+    ours_ms = peers.median_ms(lambda: ours.labels(ours.distinct(x, y, on, off, tick)), runs)
+    active = ours.distinct(x, y, on, off, tick)
     start = time.perf_counter()
     labels = theirs.labels(active)[0]
     theirs_ms = 1e3 * (time.perf_counter() - start)

@@ -20,7 +20,7 @@ RADIUS = 2.0
 
 
 def gate(cost: Cost = "l2", px: float = 40.0) -> Gate:
-    return Gate(chi2=13.8, px=px, noise_px=0.3, window_s=0.005, cost=cost)
+    return Gate(chi2=13.8, px=px, noise_px=0.3, tick_s=0.005, cost=cost)
 
 
 def assign(tracks: Places, targets: Places, sizes: list[float] | None = None, rule: Gate | None = None) -> list[int]:
@@ -33,7 +33,7 @@ def assign(tracks: Places, targets: Places, sizes: list[float] | None = None, ru
         np.full(n, RADIUS),
         np.full(n, SIZE),
         np.arange(n),
-        Candidates(xy[:, 0].copy(), xy[:, 1].copy(), seen, np.ones(len(xy), np.bool_)),
+        Candidates(xy[:, 0].copy(), xy[:, 1].copy(), seen, np.zeros(len(xy)), np.ones(len(xy), np.bool_)),
         rule or gate(),
     ).tolist()
     return chosen
@@ -95,7 +95,7 @@ def test_the_gate_in_pixels_bounds_an_uncertain_track() -> None:
     for away, wanted in ((41.0, 0), (43.0, -1)):
         chosen = association.assign(
             state, cov, np.array([RADIUS]), np.array([SIZE]), np.arange(1),
-            Candidates(np.array([away]), np.zeros(1), np.array([SIZE]), np.ones(1, np.bool_)), gate(),
+            Candidates(np.array([away]), np.zeros(1), np.array([SIZE]), np.zeros(1), np.ones(1, np.bool_)), gate(),
         )  # fmt: skip
         assert chosen.tolist() == [wanted]
 
@@ -120,8 +120,9 @@ def test_a_group_too_large_for_the_solver_is_still_paired_one_to_one() -> None:
 
 
 def test_things_lie_on_the_nearest_place_that_they_touch() -> None:
-    x, at = np.array([0.0, 5.0, 9.0, 30.0]), np.array([1.0, 8.0])
-    owner = association.owners(x, 0 * x, np.zeros(4), at, 0 * at, np.array([5.0, 3.0]))
+    x = np.array([0.0, 5.0, 9.0, 30.0])
+    places = np.array([[1.0, 0, 0, 0], [8.0, 0, 0, 0]])
+    owner = association.owners(x, 0 * x, 0 * x, np.zeros(4), places, np.array([5.0, 3.0]))
     assert owner.tolist() == [0, 1, 1, -1]
     nothing = np.empty(0)
-    assert association.owners(x, 0 * x, np.zeros(4), nothing, nothing, nothing).tolist() == [-1] * 4
+    assert association.owners(x, 0 * x, 0 * x, np.zeros(4), np.empty((0, 4)), nothing).tolist() == [-1] * 4

@@ -40,7 +40,7 @@ PLAIN = reference()
 
 def active_of(points: Points) -> Active:
     x, y, w = (np.array([p[i] for p in points], np.int32) for i in range(3))
-    return Active(x, y, w, np.zeros(len(points), np.int32))
+    return Active(x, y, w, np.zeros(len(points), np.int32), np.zeros((2, len(points))))
 
 
 def grid_labels(points: Points, eps: float, min_events: int, clusterer: Clusterer | None = None) -> list[int]:
@@ -72,7 +72,7 @@ def test_labels_of_raw_events_are_those_of_their_pixels_in_the_order_of_first_oc
     clusterer = Clusterer(10, 10, eps, min_events)
     x, y = np.array(events, np.uint16).T.copy()
     one = np.ones(len(events), np.uint8)
-    active = clusterer.distinct(x, y, one, 0 * one)
+    active = clusterer.distinct(x, y, one, 0 * one, 0 * one)
     labels, _ = clusterer.labels(active)
     of_pixel = {(int(a), int(b)): int(c) for a, b, c in zip(active.x_px, active.y_px, labels, strict=True)}
     assert [of_pixel[event] for event in events] == wanted
@@ -127,6 +127,8 @@ def test_repeated_entries_of_a_pixel_add_up_and_silent_ones_are_left_out() -> No
         column(4, 1, 4, 7),
         column(255, 0, 255, 0, dtype=np.uint8),
         column(1, 2, 3, 0, dtype=np.uint8),
+        column(0, 2, 4, 1, dtype=np.int64),
     )
     rows = list(zip(*(c.tolist() for c in (active.x_px, active.y_px, active.on, active.off)), strict=True))
     assert rows == [(3, 4, 510, 4), (1, 1, 0, 2)]
+    assert active.moments.tolist() == [[258 * 4, 2 * 2], [258 * 16, 2 * 4]]

@@ -18,7 +18,8 @@ Mask = npt.NDArray[np.bool_]
 def target_of(mask: Mask, rule: Shape = "distinct", pool_px: int = 1, on: int = 1, off: int = 0) -> Targets:
     y, x = np.nonzero(mask)
     n = len(x)
-    active = Active(x.astype(np.int32), y.astype(np.int32), np.full(n, on, np.int32), np.full(n, off, np.int32))
+    counts = np.full(n, on, np.int32), np.full(n, off, np.int32)
+    active = Active(x.astype(np.int32), y.astype(np.int32), *counts, np.zeros((2, n)))
     return shape.measure(active, np.zeros(n, np.int32), np.zeros(1, np.bool_), pool_px, ShapeFilter(4, 2000, 0.5, rule))
 
 
@@ -128,7 +129,9 @@ def test_pooled_squares_are_given_back_in_sensor_pixels_at_their_centres() -> No
 
 
 def test_targets_keep_the_order_of_their_clusters_and_count_both_polarities() -> None:
-    active = Active(*(np.array(c, np.int32) for c in ([1, 9, 2, 8], [1, 9, 1, 9], [3, 0, 1, 0], [0, 2, 0, 7])))
+    active = Active(
+        *(np.array(c, np.int32) for c in ([1, 9, 2, 8], [1, 9, 1, 9], [3, 0, 1, 0], [0, 2, 0, 7])), np.zeros((2, 4))
+    )
     labels = np.array([1, 0, 1, 0], np.int32)
     found = shape.measure(active, labels, np.zeros(2, np.bool_), 1, ShapeFilter(1, 9, 0.1, "distinct"))
     assert found.x_px.tolist() == [(9 * 2 + 8 * 7) / 9, (1 * 3 + 2) / 4]
@@ -137,7 +140,7 @@ def test_targets_keep_the_order_of_their_clusters_and_count_both_polarities() ->
 
 
 def test_noise_belongs_to_no_target() -> None:
-    active = Active(*(np.array(c, np.int32) for c in ([1, 40], [1, 40], [1, 1], [0, 0])))
+    active = Active(*(np.array(c, np.int32) for c in ([1, 40], [1, 40], [1, 1], [0, 0])), np.zeros((2, 2)))
     found = shape.measure(
         active, np.array([0, -1], np.int32), np.zeros(1, np.bool_), 1, ShapeFilter(1, 9, 0.1, "distinct")
     )

@@ -87,3 +87,30 @@ def test_speed_is_cut_to_the_limit_and_keeps_its_direction() -> None:
     kalman.update(state, cov, np.array([0]), np.array([[300.0, 400.0]]), np.full((1, 2), 1e-3), 500.0)
     assert np.hypot(*state[0, 2:]) == pytest.approx(500)
     assert state[0, 3] / state[0, 2] == pytest.approx(4 / 3)
+
+
+def test_measurements_of_another_time_and_of_the_velocity_equal_filterpy() -> None:
+    oracle: Any = pytest.importorskip("filterpy.kalman")
+    rng = np.random.default_rng(6)
+    state, cov = filters(2, rng)
+    ours = []
+    for i in range(2):
+        f = oracle.KalmanFilter(dim_x=4, dim_z=2)
+        f.x, f.P = state[i].reshape(4, 1).copy(), full(cov[i])
+        ours.append(f)
+    rows, none = np.arange(2), np.array([900.0, np.inf])
+    for _ in range(200):
+        q = rng.uniform(1e3, 1e6, 2)
+        z, v = rng.normal(0, 50, (2, 2)), rng.normal(0, 300, (2, 2))
+        r, lag = rng.uniform(0.05, 4.0, (2, 2)), rng.uniform(-0.0025, 0.0025, 2)
+        kalman.predict(state, cov, 0.005, q)
+        kalman.update(state, cov, rows, z, r, 1e30, lag, v, none)
+        for i, f in enumerate(ours):
+            f.predict(F=np.eye(4) + 0.005 * np.eye(4, k=2), Q=white_acceleration(0.005) * q[i] / Q)
+            place = np.eye(2, 4) + lag[i] * np.eye(2, 4, k=2)
+            f.update(z[i].reshape(2, 1), R=np.diag(r[i]), H=place)
+            if np.isfinite(none[i]):
+                f.update(v[i].reshape(2, 1), R=none[i] * np.eye(2), H=np.eye(2, 4, k=2))
+    for i, f in enumerate(ours):
+        np.testing.assert_allclose(state[i], f.x[:, 0], rtol=1e-7, atol=1e-7)
+        np.testing.assert_allclose(full(cov[i]), f.P, rtol=1e-7, atol=1e-7)

@@ -4,15 +4,17 @@ A target belongs to a track's *disc* if it lies within its radius and a little m
 crescents at the edges of a lit LED that moves, and the half of a disc that the noise gate left. Farther away only
 a whole target counts, within the chi-squared gate and the gate in pixels::
 
-    d^2 = dx^2 / S_x + dy^2 / S_y < gate_chi2,   S = P + r
+    d^2 = dx^2 / S_x + dy^2 / S_y < gate_chi2,   S = P_xx + 2 t P_xv + t^2 P_vv + r
+
+where the track is expected at the mean time t of the target's own events, from the middle of the window: x + t v.
 
 Cost, to be minimised over all pairs of a group, with as many pairs as possible: `l2` is d^2, `l1` is |dx| + |dy| in
 pixels, the paper's; to both is added what keeps a scrap of a target from beating the whole one.
 
 The variance of a measured centre, for a target that shows the share c of its track's pixels, with the track's radius
-R, its speed v and the window W (the events' time within it is not known)::
+R, its speed v and the tick T (the events' time within it is not known)::
 
-    r = noise^2 + (1 - c) R^2 / 4 + (v W)^2 / 12
+    r = noise^2 + (1 - c) R^2 / 4 + (v T)^2 / 12
 
 R^2 / 4 is the variance of one random pixel of the disc: pessimistic where many random pixels are seen, about right for
 a crescent, whose pixels are not random.
@@ -55,7 +57,7 @@ class Gate:
     chi2: float
     px: float
     noise_px: float
-    window_s: float
+    tick_s: float
     cost: Cost
 
 
@@ -67,22 +69,24 @@ class Candidates:
         x_px: (n,) float64.
         y_px: (n,) float64.
         size_px: (n,) float64, sensor pixels seen.
+        lag_s: (n,) float64, when, from the time of the tracks' state.
         free: (n,) bool: not taken, not too large.
     """
 
     x_px: Floats
     y_px: Floats
     size_px: Floats
+    lag_s: Floats
     free: npt.NDArray[np.bool_]
 
 
 @kernel
 def variance(
-    size_px: float, track_size_px: float, radius_px: float, v_px_s: float, noise_px: float, w_s: float
+    size_px: float, track_size_px: float, radius_px: float, v_px_s: float, noise_px: float, tick_s: float
 ) -> float:
     """Return the variance of a centre on one axis, px^2; see the module."""
     share = min(1.0, size_px / track_size_px)
-    return noise_px * noise_px + (1 - share) * radius_px * radius_px / 4 + (v_px_s * w_s) ** 2 / 12
+    return noise_px * noise_px + (1 - share) * radius_px * radius_px / 4 + (v_px_s * tick_s) ** 2 / 12
 
 
 @kernel
@@ -95,27 +99,31 @@ def _pairs(
     x_px: Floats,
     y_px: Floats,
     seen_px: Floats,
+    lag_s: Floats,
     free: npt.NDArray[np.bool_],
     limits: tuple[float, float, float, float, bool],
     out: Floats,
 ) -> int:
     """Write (row's place, target, cost) of the gated pairs to out while they fit; return how many there are."""
-    chi2, gate_px, noise_px, w_s, l1 = limits
+    chi2, gate_px, noise_px, tick_s, l1 = limits
     n = 0
     for k in range(len(rows)):
         i = rows[k]
         disc = radius_px[i] + DISC_SLACK_PX
         reach = radius_px[i] + gate_px
         for j in range(len(x_px)):
-            dx = x_px[j] - state[i, 0]
-            dy = y_px[j] - state[i, 1]
+            t = lag_s[j]
+            dx = x_px[j] - state[i, 0] - t * state[i, 2]
+            dy = y_px[j] - state[i, 1] - t * state[i, 3]
             if not free[j] or abs(dx) > reach or abs(dy) > reach or seen_px[j] > GROWTH * size_px[i] + GROWTH_PX:
                 continue
             share = min(1.0, seen_px[j] / size_px[i])
             d = np.sqrt(dx * dx + dy * dy)
-            rx = variance(seen_px[j], size_px[i], radius_px[i], state[i, 2], noise_px, w_s)
-            ry = variance(seen_px[j], size_px[i], radius_px[i], state[i, 3], noise_px, w_s)
-            d2 = dx * dx / (cov[i, 0] + rx) + dy * dy / (cov[i, 3] + ry)
+            rx = variance(seen_px[j], size_px[i], radius_px[i], state[i, 2], noise_px, tick_s)
+            ry = variance(seen_px[j], size_px[i], radius_px[i], state[i, 3], noise_px, tick_s)
+            sx = cov[i, 0] + t * (2 * cov[i, 1] + t * cov[i, 2]) + rx
+            sy = cov[i, 3] + t * (2 * cov[i, 4] + t * cov[i, 5]) + ry
+            d2 = dx * dx / sx + dy * dy / sy
             if d > disc and (share < WHOLE_SHARE or d > reach or d2 > chi2):
                 continue
             if n < out.shape[1]:
@@ -190,11 +198,22 @@ def assign(
         (k,) int64: each row's target, or -1; no target twice.
     """
     chosen = np.full(len(rows), -1, np.int64)
-    limits = (float(gate.chi2), float(gate.px), gate.noise_px, gate.window_s, gate.cost == "l1")
+    limits = (float(gate.chi2), float(gate.px), gate.noise_px, gate.tick_s, gate.cost == "l1")
     out = np.empty((3, 4 * len(rows) + 16))
     while True:
         n = _pairs(
-            state, cov, radius_px, size_px, rows, targets.x_px, targets.y_px, targets.size_px, targets.free, limits, out
+            state,
+            cov,
+            radius_px,
+            size_px,
+            rows,
+            targets.x_px,
+            targets.y_px,
+            targets.size_px,
+            targets.lag_s,
+            targets.free,
+            limits,
+            out,
         )
         if n <= out.shape[1]:
             break
@@ -231,28 +250,30 @@ def _needs_solver(row: Rows, target: Rows, group: Rows, count: int) -> npt.NDArr
 
 
 @kernel
-def _owners(x_px: Floats, y_px: Floats, extent_px: Floats, at_x_px: Floats, at_y_px: Floats, radius_px: Floats) -> Rows:
+def _owners(x_px: Floats, y_px: Floats, t_s: Floats, extent_px: Floats, at: Floats, radius_px: Floats) -> Rows:
     owner = np.full(len(x_px), -1, np.int64)
     for j in range(len(x_px)):
         best = np.inf
-        for k in range(len(at_x_px)):
-            d = np.sqrt((x_px[j] - at_x_px[k]) ** 2 + (y_px[j] - at_y_px[k]) ** 2)
+        for k in range(len(at)):
+            dx = x_px[j] - at[k, 0] - t_s[j] * at[k, 2]
+            dy = y_px[j] - at[k, 1] - t_s[j] * at[k, 3]
+            d = np.sqrt(dx * dx + dy * dy)
             if d <= extent_px[j] + radius_px[k] and d < best:
                 best = d
                 owner[j] = k
     return owner
 
 
-def owners(x_px: Floats, y_px: Floats, extent_px: Floats, at_x_px: Floats, at_y_px: Floats, radius_px: Floats) -> Rows:
+def owners(x_px: Floats, y_px: Floats, t_s: Floats, extent_px: Floats, at: Floats, radius_px: Floats) -> Rows:
     """Return (n,) int64: for each thing the nearest place that it lies on, or -1.
 
     Args:
         x_px: (n,) float64.
         y_px: (n,) float64.
+        t_s: (n,) float64, when each is there, from the time of the places.
         extent_px: (n,) float64: the thing's own radius, added to the place's.
-        at_x_px: (k,) float64.
-        at_y_px: (k,) float64.
+        at: (k, 4) float64, x, y, v_x, v_y of the places.
         radius_px: (k,) float64.
     """
     # One layout of arrays, one compilation.
-    return _owners(*(np.ascontiguousarray(a) for a in (x_px, y_px, extent_px, at_x_px, at_y_px, radius_px)))
+    return _owners(*(np.ascontiguousarray(a) for a in (x_px, y_px, t_s, extent_px, at, radius_px)))

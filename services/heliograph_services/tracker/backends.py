@@ -44,7 +44,12 @@ class Clustering(Protocol):
     """DBSCAN for windows of one sensor; see `clustering.Clusterer`."""
 
     def distinct(
-        self, x_px: npt.NDArray[Any], y_px: npt.NDArray[Any], on: npt.NDArray[Any], off: npt.NDArray[Any]
+        self,
+        x_px: npt.NDArray[Any],
+        y_px: npt.NDArray[Any],
+        on: npt.NDArray[Any],
+        off: npt.NDArray[Any],
+        tick: npt.NDArray[Any],
     ) -> Active:
         """Return the pixels with events."""
         ...
@@ -65,11 +70,22 @@ class MakesClustering(Protocol):
 class Filters(Protocol):
     """Constant-velocity Kalman filters of a table of tracks; see `kalman`."""
 
-    def predict(self, state: Floats, cov: Floats, dt_s: float, q: float) -> None:
+    def predict(self, state: Floats, cov: Floats, dt_s: float, q: float | Floats) -> None:
         """Move all filters forward in place."""
         ...
 
-    def update(self, state: Floats, cov: Floats, rows: Rows, z: Floats, r: Floats, max_speed_px_s: float) -> None:
+    def update(
+        self,
+        state: Floats,
+        cov: Floats,
+        rows: Rows,
+        z: Floats,
+        r: Floats,
+        max_speed_px_s: float,
+        dt_s: Floats | None = None,
+        v: Floats | None = None,
+        v_var: Floats | None = None,
+    ) -> None:
         """Correct the filters of some rows in place."""
         ...
 

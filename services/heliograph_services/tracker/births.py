@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from heliograph_services.tracker import association, recovery
+from heliograph_services.tracker import association, recovery, sighting
 from heliograph_services.tracker.config import TrackerConfig
 from heliograph_services.tracker.shape import BOTH_SHARE, Targets
 from heliograph_services.tracker.sighting import Rule, signs
@@ -81,8 +81,10 @@ def initiate(
     if len(new) == 0:
         return
     x_px, y_px, radius_px = targets.x_px[new], targets.y_px[new], targets.radius_px[new]
-    touched = association.owners(x_px, y_px, radius_px, table.state[:, 0], table.state[:, 1], table.radius_px) >= 0
-    barred = association.owners(x_px, y_px, np.zeros(len(new)), closed[:, 0], closed[:, 1], closed[:, 2]) >= 0
+    lag_s, nothing = targets.lag_s[new], np.zeros(len(new))
+    touched = association.owners(x_px, y_px, lag_s, radius_px, table.state, table.radius_px) >= 0
+    still = np.concatenate([closed[:, :2], np.zeros((len(closed), 2))], axis=1)
+    barred = association.owners(x_px, y_px, nothing, nothing, still, closed[:, 2]) >= 0
     counters["births_quarantined"] += int(np.count_nonzero(barred & ~touched))
     new = new[~touched & ~barred]
     room = config.max_tracks - int(np.count_nonzero(~table.named))
@@ -94,10 +96,20 @@ def initiate(
     counters["births"] += len(new)
     on, off = targets.on[new].astype(np.float64), targets.off[new].astype(np.float64)
     polarity = (on - off) / (on + off)
+    swept_px = targets.swept_px[new]
+    speed_var = config.initial_speed_px_s**2 + (swept_px / rule.window_s) ** 2
+    slope_var = sighting.slope_var(targets, new, np.maximum(1.0, (on + off) / (2 * targets.pixels[new])), rule)[:, None]
+    share = speed_var / (speed_var + slope_var)
+    v_px_s, speed_var = share * targets.v_px_s[new], (1 - share) * speed_var
+    # Each was there at its own time; the table is of the middle of the window.
+    lag_s = targets.lag_s[new][:, None]
+    var_px2 = rule.noise_px**2 + (swept_px * rule.tick_s / rule.window_s) ** 2 / 12
     table.append(
-        xy_px=np.stack([targets.x_px[new], targets.y_px[new]], axis=1),
-        var_px2=rule.noise_px**2 + targets.swept_px[new] ** 2 / 12,
-        speed_var=config.initial_speed_px_s**2 + (targets.swept_px[new] / rule.window_s) ** 2,
+        xy_px=np.stack([targets.x_px[new], targets.y_px[new]], axis=1) - lag_s * v_px_s,
+        v_px_s=v_px_s,
+        var_px2=var_px2 + lag_s**2 * speed_var,
+        cross=-lag_s * speed_var,
+        speed_var=speed_var,
         radius_px=targets.radius_px[new],
         size_px=targets.pixels[new].astype(np.float64) * rule.pool_px**2,
         polarity=polarity,

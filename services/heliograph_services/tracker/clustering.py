@@ -26,6 +26,7 @@ import numpy.typing as npt
 from heliograph_services.tracker.jit import kernel
 
 Ints = npt.NDArray[np.int32]
+Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,12 +38,14 @@ class Active:
         y_px: (n,) int32.
         on: (n,) int32, events that became brighter.
         off: (n,) int32, events that became darker.
+        moments: (2, n) float64, sums over the pixel's events of their tick, and of its square.
     """
 
     x_px: Ints
     y_px: Ints
     on: Ints
     off: Ints
+    moments: Floats
 
     def __len__(self) -> int:
         return len(self.x_px)
@@ -54,12 +57,14 @@ def _distinct(
     y_px: npt.NDArray[Any],
     on: npt.NDArray[Any],
     off: npt.NDArray[Any],
+    tick: npt.NDArray[Any],
     grid: Ints,
     stride: int,
     pad: int,
     out: Ints,
+    moments: Floats,
 ) -> int:
-    """Write rows (x, y, on, off) of the distinct pixels with events to out (4, n); return how many."""
+    """Write the distinct pixels with events to out (4, n): x, y, on, off; and their moments (2, n); return how many."""
     n = 0
     for i in range(len(x_px)):
         a = np.int32(on[i])
@@ -76,8 +81,13 @@ def _distinct(
             out[1, j] = y_px[i]
             out[2, j] = 0
             out[3, j] = 0
+            moments[0, j] = 0.0
+            moments[1, j] = 0.0
         out[2, j] += a
         out[3, j] += b
+        k = float(tick[i])
+        moments[0, j] += (a + b) * k
+        moments[1, j] += (a + b) * k * k
     for j in range(n):
         grid[(np.int64(out[1, j]) + pad) * stride + np.int64(out[0, j]) + pad] = 0
     return n
@@ -154,12 +164,18 @@ class Clusterer:
         )
 
     def distinct(
-        self, x_px: npt.NDArray[Any], y_px: npt.NDArray[Any], on: npt.NDArray[Any], off: npt.NDArray[Any]
+        self,
+        x_px: npt.NDArray[Any],
+        y_px: npt.NDArray[Any],
+        on: npt.NDArray[Any],
+        off: npt.NDArray[Any],
+        tick: npt.NDArray[Any],
     ) -> Active:
         """Return the pixels with events, counts of repeated entries added; all of them must lie on the sensor."""
         out = np.empty((4, len(x_px)), np.int32)
-        n = _distinct(x_px, y_px, on, off, self._grid, self._stride, self._pad, out)
-        return Active(out[0, :n], out[1, :n], out[2, :n], out[3, :n])
+        moments = np.empty((2, len(x_px)))
+        n = _distinct(x_px, y_px, on, off, tick, self._grid, self._stride, self._pad, out, moments)
+        return Active(out[0, :n], out[1, :n], out[2, :n], out[3, :n], moments[:, :n])
 
     def labels(self, active: Active) -> tuple[Ints, int]:
         """Return (n,) int32 labels, -1 for noise, and the number of clusters."""

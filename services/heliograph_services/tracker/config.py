@@ -101,10 +101,10 @@ class TrackerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     process_noise_px2_s3: Annotated[float, Meta(gt=0.0, le=1e9, description="density of the white acceleration")] = (
         9_000.0
     )
-    # 2 s^2 tau for 20,000 px/s2, which hold 2,000 px/s on a circle of 200 px, for tau = .1 s.
+    # 2 s^2 tau for 70,000 px/s2, which hold 2,000 px/s on a circle of 60 px, for tau = .1 s.
     process_noise_max_px2_s3: Annotated[
         float, Meta(gt=0.0, le=1e10, description="the same for tracks that are seen to turn; none that turn if less")
-    ] = 8e7
+    ] = 1e9
     # A disc of 13 pixels of which noise and thresholds move the edge: .2 to .4 px.
     measurement_noise_px: Annotated[float, Meta(gt=0.0, le=100.0, description="standard error of a whole target")] = 0.3
     # A drone at 2 m/s and 5 m sees 160 px/s at 3.6 mm: a birth is within two sigma of that.

@@ -195,6 +195,7 @@ class TrackerCore:
                 height=onsets.height,
                 pool_px=onsets.pool_px,
                 window_us=cutter.window_us,
+                tick_us=onsets.tick_us,
                 numbers=self._numbers,
                 counters=self.counters,
                 refusals=self.refusals,

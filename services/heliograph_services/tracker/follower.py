@@ -15,15 +15,16 @@ import numpy.typing as npt
 from heliograph.errors import Refusal, Refusals
 from heliograph.messages import StatusWord
 from heliograph.units import US_PER_S
-from heliograph_services.tracker import association, births, recovery, shape
+from heliograph_services.tracker import association, births, recovery, shape, turning
 from heliograph_services.tracker.association import Candidates, Gate
 from heliograph_services.tracker.backends import Backends
+from heliograph_services.tracker.clustering import Active, Ints
 from heliograph_services.tracker.config import TrackerConfig
 from heliograph_services.tracker.identity import Identities
 from heliograph_services.tracker.motion import Motion, Steering
 from heliograph_services.tracker.quarantine import Quarantine
 from heliograph_services.tracker.shape import ShapeFilter, Targets
-from heliograph_services.tracker.sighting import Rule, Sighting, see
+from heliograph_services.tracker.sighting import TURN_US, Rule, Sighting, see
 from heliograph_services.tracker.splitting import carve, split
 from heliograph_services.tracker.tracks import INVALID, VALID, Numbers, Snapshot, TrackTable
 from heliograph_services.tracker.windows import Window
@@ -79,6 +80,7 @@ class GridFollower:
         height: sensor rows.
         pool_px: side of an onset pixel.
         window_us: length of a window.
+        tick_us: length of a tick.
         numbers: names the tracks.
         counters: added to; see `COUNTERS`.
         refusals: targets that no track used and that may not be one, by reason.
@@ -94,6 +96,7 @@ class GridFollower:
         height: int,
         pool_px: int,
         window_us: int,
+        tick_us: int,
         numbers: Numbers,
         counters: dict[str, int],
         refusals: Refusals,
@@ -111,10 +114,10 @@ class GridFollower:
         self._rule = ShapeFilter(config.min_pixels, config.max_pixels, config.min_roundness, config.shape)
         # A pooled entry lies anywhere in its square.
         noise_px = float(np.sqrt(config.measurement_noise_px**2 + (pool_px**2 - 1) / 12))
-        window_s, q = window_us / US_PER_S, config.process_noise_px2_s3
-        self._gate = Gate(config.gate_chi2, config.gate_px, noise_px, window_s, config.cost)
+        window_s, tick_s, q = window_us / US_PER_S, tick_us / US_PER_S, config.process_noise_px2_s3
+        self._gate = Gate(config.gate_chi2, config.gate_px, noise_px, tick_s, config.cost)
         self._weights = Rule(
-            noise_px, window_s, pool_px, config.max_speed_px_s, q, max(q, config.process_noise_max_px2_s3)
+            noise_px, window_s, tick_s, pool_px, config.max_speed_px_s, q, max(q, config.process_noise_max_px2_s3)
         )
         self._quarantine = Quarantine(config.quarantine_us, config.quarantine_max_us)
         self._steering = Steering(motion, config.prediction, config.initial_speed_px_s)
@@ -135,7 +138,7 @@ class GridFollower:
     def _track(self, window: Window) -> None:
         """Predict, associate, update, confirm, initiate."""
         self.expire(window.start_us)
-        # The events' mean time is not known; the middle is off by W / sqrt(12).
+        # Targets have times of their own, from here.
         self._predict((window.start_us + window.end_us) // 2)
         targets = self._targets(window)
         if targets is None or len(targets) == 0:
@@ -224,20 +227,31 @@ class GridFollower:
     def _extrapolated(self, at_us: int) -> tuple[Floats, Floats]:
         """Return (n, 4) states and (n, 6) covariances at a time after the last window."""
         state, cov = self.table.state.copy(), self.table.cov.copy()
-        self._filters.predict(state, cov, (at_us - self._at_us) / US_PER_S, self._config.process_noise_px2_s3)
+        self._filters.predict(state, cov, (at_us - self._at_us) / US_PER_S, self._density(at_us))
+        turning.turn(self.table, state, self._at_us, at_us)
         return state, cov
+
+    def _density(self, to_us: int) -> Floats:
+        """Return (n,) the acceleration from now until to_us: a row's own while it has been out of sight for little.
+
+        What is in birth has none of its own: fragments of edges would jump from one to the next, and be confirmed.
+        """
+        q, dt_us = self._config.process_noise_px2_s3, max(1, to_us - self._at_us)
+        turning_us = np.clip(self.table.seen_us + TURN_US - self._at_us, 0, dt_us) * self.table.named
+        return np.asarray(q + (np.maximum(self.table.q, q) - q) * (turning_us / dt_us))
 
     def _predict(self, to_us: int) -> None:
         if len(self.table):
             dt_s = (to_us - self._at_us) / US_PER_S
-            self._filters.predict(self.table.state, self.table.cov, dt_s, self._config.process_noise_px2_s3)
+            self._filters.predict(self.table.state, self.table.cov, dt_s, self._density(to_us))
+            turning.turn(self.table, self.table.state, self._at_us, to_us)
         self._at_us = to_us
 
     def _targets(self, window: Window) -> Targets | None:
         if window.flooded:
             self._counters["windows_flooded"] += 1
             return None
-        active = self._clusterer.distinct(window.x_px, window.y_px, window.on, window.off)
+        active = self._clusterer.distinct(window.x_px, window.y_px, window.on, window.off, window.tick)
         self._counters["active_pixels"] += len(active)
         if len(active) > self._config.max_active_pixels:
             self._counters["windows_flooded"] += 1
@@ -246,18 +260,22 @@ class GridFollower:
         if count > TARGETS_LIMIT:
             self._counters["windows_flooded"] += 1
             return None
-        targets = shape.measure(active, labels, np.zeros(count, np.bool_), self._pool_px, self._rule)
+        targets = self._measured(window, active, labels, np.zeros(count, np.bool_))
         carved = carve(active, labels, targets, self._clusterer.labels, self._config.min_pixels)
         if carved is not None:
             self._counters["targets_carved"] += carved[1] - count
             labels, count = carved
-            targets = shape.measure(active, labels, np.zeros(count, np.bool_), self._pool_px, self._rule)
+            targets = self._measured(window, active, labels, np.zeros(count, np.bool_))
         named = self.table.named
         cut = split(active, labels, targets, self.table.state[named, :2], self.table.size_px[named], self._pool_px)
         if cut is None:
             return targets
         self._counters["targets_split"] += 1
-        return shape.measure(active, *cut, self._pool_px, self._rule)
+        return self._measured(window, active, *cut)
+
+    def _measured(self, window: Window, active: Active, labels: Ints, piece: Flags) -> Targets:
+        ticks = (window.end_us - window.start_us) // window.tick_us
+        return shape.measure(active, labels, piece, self._pool_px, self._rule, ticks, window.tick_us / US_PER_S)
 
     def _blinking(self) -> Flags:
         """Return (n,) bool: the rows that are seen as a light that is switched, and by what else passes, not at all."""
@@ -269,7 +287,7 @@ class GridFollower:
             return
         table = self.table
         seen_px = self._seen_px(targets.pixels)
-        offered = Candidates(targets.x_px, targets.y_px, seen_px, free)
+        offered = Candidates(targets.x_px, targets.y_px, seen_px, targets.lag_s, free)
         chosen = association.assign(table.state, table.cov, table.radius_px, table.size_px, rows, offered, self._gate)
         # A merely passing edge at a blinking light's place is not the light.
         strict, switched = self._blinking()[rows], targets.switched
@@ -304,9 +322,9 @@ class GridFollower:
         owner = association.owners(
             targets.x_px[others],
             targets.y_px[others],
+            targets.lag_s[others],
             np.zeros(len(others)),
-            table.state[rows, 0],
-            table.state[rows, 1],
+            table.state[rows],
             table.radius_px[rows] + association.DISC_SLACK_PX,
         )
         limit = association.GROWTH * table.size_px[rows] + association.GROWTH_PX

@@ -65,16 +65,17 @@ def found(
     owner = association.owners(
         targets.x_px[used],
         targets.y_px[used],
+        targets.lag_s[used],
         nothing,
-        table.state[rows, 0],
-        table.state[rows, 1],
+        table.state[rows],
         reach_px(table, rows, at_us, config),
     )
     ratio = seen_px[used] / table.size_px[rows[owner]]
     fit = np.flatnonzero((owner >= 0) & (ratio < SIZE_RATIO) & (ratio > 1 / SIZE_RATIO))
+    state, t_s = table.state[rows[owner[fit]]], targets.lag_s[used[fit]]
     away = np.hypot(
-        targets.x_px[used[fit]] - table.state[rows[owner[fit]], 0],
-        targets.y_px[used[fit]] - table.state[rows[owner[fit]], 1],
+        targets.x_px[used[fit]] - state[:, 0] - t_s * state[:, 2],
+        targets.y_px[used[fit]] - state[:, 1] - t_s * state[:, 3],
     )
     fit = fit[np.argsort(away, kind="stable")]
     mine, first = np.unique(owner[fit], return_index=True)

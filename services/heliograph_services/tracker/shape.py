@@ -58,6 +58,8 @@ CLEAR: Final = 0.5
 DENSE: Final = 1.2
 # A disc of 13 pixels whose axes differ by a half does so by chance in one of ten windows.
 CHANCE: Final = 1.5
+# Ticks squared; below it is rounding, or one event of a thousand.
+LEAST_SPREAD: Final = 1e-3
 # Full streaks score .9 to 1, two parallel lines or a bent one less than .7.
 SWEPT_FILL: Final = 0.75
 # Of a disc of radius 2 px; lines of one and two pixels have .17 and .33.
@@ -80,6 +82,9 @@ class Targets:
         roundness: (k,) float64.
         swept_px: (k, 2) float64, how far it moved in the window along each axis, without the sign; sensor pixels.
         verdict: (k,) uint8: ROUND, SWEPT, TOO_FEW, TOO_MANY or NOT_ROUND.
+        lag_s: (k,) float64, mean time of the events, from the middle of the window.
+        v_px_s: (k, 2) float64, the slope of the events' places over their times; 0 where all are of one tick.
+        spread_s2: (k,) float64, variance of the events' times.
         piece: (k,) bool: cut out of a larger cluster (`splitting`).
     """
 
@@ -94,6 +99,9 @@ class Targets:
     roundness: Floats
     swept_px: Floats
     verdict: npt.NDArray[np.uint8]
+    lag_s: Floats
+    v_px_s: Floats
+    spread_s2: Floats
     piece: npt.NDArray[np.bool_]
 
     def __len__(self) -> int:
@@ -154,11 +162,21 @@ def _members(labels: Ints, count: int, first: Ints, member: Ints) -> None:
 
 @kernel
 def _measure(
-    x_px: Ints, y_px: Ints, on: Ints, off: Ints, first: Ints, member: Ints, covered: float, out: Floats, events: Ints
+    x_px: Ints,
+    y_px: Ints,
+    on: Ints,
+    off: Ints,
+    moments: Floats,
+    first: Ints,
+    member: Ints,
+    covered: float,
+    out: Floats,
+    events: Ints,
 ) -> None:
-    """Fill out (7, k) and events (3, k): on, off, both.
+    """Fill out (11, k) and events (3, k): on, off, both.
 
-    Rows of out: x, y, covering radius and reach of the centres, var_x, var_y, their covariance.
+    Rows of out: x, y, covering radius and reach of the centres, var_x, var_y, their covariance; of the events in ticks
+    the mean and the variance, and the slopes of x and y over them.
     """
     for c in range(out.shape[1]):
         start, stop = first[c], first[c + 1]
@@ -167,20 +185,34 @@ def _measure(
         sy = 0.0
         wx = 0.0
         wy = 0.0
+        t = 0.0
+        tt = 0.0
+        tx = 0.0
+        ty = 0.0
         for m in range(start, stop):
             i = member[m]
             sx += x_px[i]
             sy += y_px[i]
             wx += (on[i] + off[i]) * x_px[i]
             wy += (on[i] + off[i]) * y_px[i]
+            t += moments[0, i]
+            tt += moments[1, i]
+            tx += moments[0, i] * x_px[i]
+            ty += moments[0, i] * y_px[i]
             events[0, c] += on[i]
             events[1, c] += off[i]
             if on[i] > 0 and off[i] > 0:
                 events[2, c] += 1
         mean_x = sx / n
         mean_y = sy / n
-        x = wx / (events[0, c] + events[1, c])
-        y = wy / (events[0, c] + events[1, c])
+        n_events = events[0, c] + events[1, c]
+        x = wx / n_events
+        y = wy / n_events
+        out[7, c] = t / n_events
+        out[8, c] = max(0.0, tt / n_events - out[7, c] ** 2)
+        if out[8, c] > LEAST_SPREAD:
+            out[9, c] = (tx / n_events - x * out[7, c]) / out[8, c]
+            out[10, c] = (ty / n_events - y * out[7, c]) / out[8, c]
         d2 = np.empty(n, np.float64)
         for m in range(n):
             i = member[start + m]
@@ -197,7 +229,15 @@ def _measure(
         out[3, c] = np.sqrt(d2[n - 1])
 
 
-def measure(active: Active, labels: Ints, piece: npt.NDArray[np.bool_], pool_px: int, rule: ShapeFilter) -> Targets:
+def measure(
+    active: Active,
+    labels: Ints,
+    piece: npt.NDArray[np.bool_],
+    pool_px: int,
+    rule: ShapeFilter,
+    ticks: int = 1,
+    tick_s: float = 1.0,
+) -> Targets:
     """Return the targets of labelled pixels.
 
     Args:
@@ -206,14 +246,16 @@ def measure(active: Active, labels: Ints, piece: npt.NDArray[np.bool_], pool_px:
         piece: (k,) bool, see `Targets`.
         pool_px: side of an onset pixel in sensor pixels.
         rule: what may become a track.
+        ticks: in the window.
+        tick_s: length of a tick.
     """
     count = len(piece)
     first = np.zeros(count + 1, np.int32)
     member = np.empty(len(active), np.int32)
-    out = np.zeros((7, count), np.float64)
+    out = np.zeros((11, count), np.float64)
     events = np.zeros((3, count), np.int32)
     _members(labels, count, first, member)
-    _measure(active.x_px, active.y_px, active.on, active.off, first, member, COVERED, out, events)
+    _measure(active.x_px, active.y_px, active.on, active.off, active.moments, first, member, COVERED, out, events)
     pixels = np.diff(first)
     if rule.shape == "distinct":
         roundness = pixels / (2 * np.pi * (out[4] + out[5] + 1 / 6))
@@ -239,6 +281,9 @@ def measure(active: Active, labels: Ints, piece: npt.NDArray[np.bool_], pool_px:
         roundness=roundness,
         swept_px=swept_px * pool_px,
         verdict=verdict,
+        lag_s=(out[7] - (ticks - 1) / 2) * tick_s,
+        v_px_s=out[9:11].T * (pool_px / tick_s),
+        spread_s2=out[8] * tick_s**2,
         piece=piece,
     )
 

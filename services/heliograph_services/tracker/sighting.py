@@ -1,11 +1,17 @@
 """A track is seen: its filter, its looks and its signs of blinking take in the targets of a window.
 
 The centre of what was seen has on each axis the variance, with the share c of the track's pixels, its radius R, its
-speed v, the window W and the number n of flips that the light showed in it::
+speed v, the tick T and the number n of flips that the light showed::
 
-    r = noise^2 + (1 - c) R^2 / 4 + (v W)^2 / (12 n)            n = max(1, events / (2 size))
+    r = noise^2 + (1 - c) R^2 / 4 + (v T)^2 / (12 n)            n = max(1, events / (2 size))
 
-since each flip says where the light was at its own time, and their mean is what is measured.
+since the mean time of its events is known but for where in their ticks they lie. The filter is told the centre at that
+time. The slope of the events' places over their times is a measurement of the velocity, of the variance ::
+
+    r_v = 2 noise^2 / (n s^2)
+
+with s^2 the variance of the times: a flip's trailing half comes later than its leading one, hence the 2. Where the
+events do not spread over the window (s^2 < W^2 / 24) they are one flip's, and the slope is that of its latency.
 
 What turns is followed by more noise of acceleration. The filter lags behind a turn, so that the innovations nu of many
 windows point one way; noise alone makes them point any way. With means that forget (share a of the newest)::
@@ -27,6 +33,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliograph.units import US_PER_S
+from heliograph_services.tracker import turning
 from heliograph_services.tracker.backends import Filters
 from heliograph_services.tracker.shape import BOTH_SHARE, CLEAR, Targets, is_switched
 from heliograph_services.tracker.tracks import TrackTable
@@ -43,16 +50,21 @@ HABIT: Final = 0.05
 HABIT_WINDOWS: Final = 3.0
 # A share of 1/4 remembers 35 ms at 5 ms a window: a turn of 100 ms is noticed while it lasts.
 NEWEST: Final = 0.25
-# From q_0 to a thousand times as much in 17 windows that lag, and back in 38 that do not.
+# From q_0 to a thousand times as much in 7 windows that lag, and back in 38 that do not: a turn lasts for .1 s.
 LAGS: Final = 0.5
 WHITE: Final = 0.3
-UP: Final = 1.5
+UP: Final = 3.0
 DOWN: Final = 1.2
-# 600 px: half of the widest sensor. 400 px/s then ask for no more than q_0, 2,000 px/s for 9e6 px2/s3.
-TURN_RADIUS_PX: Final = 600.0
+# A sixth of the width of a small sensor. 160 px/s then ask for no more than q_0, 2,000 px/s for 3.2e8 px2/s3. With
+# centres good to .2 px and the time of each known, that much costs little accuracy; 600 px lost what turns.
+TURN_RADIUS_PX: Final = 100.0
 TURN_S: Final = 0.1
 # What has not been seen for longer than a code's dark run at 1 kbit/s did not turn all that time.
 TURN_US: Final = 10_000
+# Even times have W^2 / 12.
+SPREAD: Final = 24.0
+# Of a track's pixels, for a target's slope to be its.
+WHOLE: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +74,7 @@ class Rule:
     Args:
         noise_px: standard error of a whole target's centre.
         window_s: length of a window.
+        tick_s: length of a tick.
         pool_px: side of an onset pixel.
         max_speed_px_s: velocities are cut to it.
         q: least density of the acceleration, px^2/s^3, with which the filters predict.
@@ -70,6 +83,7 @@ class Rule:
 
     noise_px: float
     window_s: float
+    tick_s: float
     pool_px: int
     max_speed_px_s: float
     q: float
@@ -112,15 +126,24 @@ def see(table: TrackTable, filters: Filters, seen: Sighting, targets: Targets, e
     on, off = seen.sum(targets.on), seen.sum(targets.off)
     events = (targets.on + targets.off).astype(np.float64)
     z = np.stack([seen.sum(events * at) / (on + off) for at in (targets.x_px, targets.y_px)], axis=1)
+    lag_s = seen.sum(events * targets.lag_s) / (on + off)
     seen_px = total * rule.pool_px**2
     share = np.minimum(1.0, seen_px / table.size_px[rows])
     trust = np.where(seen.sum(targets.piece) > 0, 0.0, share)
     flips = np.maximum(1.0, (on + off) / (2 * table.size_px[rows]))
     r = np.empty((k, 2))
     r[:] = (rule.noise_px**2 + (1 - trust) * table.radius_px[rows] ** 2 / 4)[:, None]
-    r += (table.state[rows, 2:] * rule.window_s) ** 2 / (12 * flips[:, None])
-    _turn(table, rows, z - table.state[rows, :2], trust, end_us, rule)
-    filters.update(table.state, table.cov, rows, z, r, rule.max_speed_px_s)
+    r += (table.state[rows, 2:] * rule.tick_s) ** 2 / (12 * flips[:, None])
+    expected = table.state[rows, :2] + lag_s[:, None] * table.state[rows, 2:]
+    _turn(table, rows, z - expected, trust, rule)
+    v_var = slope_var(targets, chosen, flips, rule)
+    # A part of a light has its own slope.
+    v_var[(np.bincount(seen.owner, minlength=k) > 1) | (trust < WHOLE)] = np.inf
+    # The slope has a bias, which a track that knows its velocity better would feel.
+    v_var[end_us - table.seen_us[rows] <= TURN_US] = np.inf
+    before_px_s = table.state[rows, 2:]
+    filters.update(table.state, table.cov, rows, z, r, rule.max_speed_px_s, lag_s, targets.v_px_s[chosen], v_var)
+    turning.learn(table, rows, before_px_s, end_us, rule.window_s)
     table.polarity[rows] = (on - off) / (on + off)
     sign = signs(table.polarity[rows])
     both = seen.sum(targets.both)
@@ -140,8 +163,24 @@ def see(table: TrackTable, filters: Filters, seen: Sighting, targets: Targets, e
     table.radius_px[rows] += np.where(alone, rate, 0.0) * (targets.radius_px[chosen] - table.radius_px[rows])
 
 
-def _turn(table: TrackTable, rows: Longs, innovation: Floats, trust: Floats, end_us: int, rule: Rule) -> None:
-    """Raise or lower the acceleration that the rows are believed capable of, and add what of it the filters lack."""
+def slope_var(targets: Targets, used: Longs, flips: Floats, rule: Rule) -> Floats:
+    """Return (k,) float64, variance of the slopes of some targets on each axis, (px/s)^2; inf where there is none.
+
+    Args:
+        targets: of the window.
+        used: (k,) int64.
+        flips: (k,) float64, of the light while they were made, about.
+        rule: see there.
+    """
+    spread_s2 = targets.spread_s2[used]
+    known = spread_s2 >= rule.window_s**2 / SPREAD
+    out = np.full(len(used), np.inf)
+    out[known] = 2 * rule.noise_px**2 / (flips * spread_s2)[known]
+    return out
+
+
+def _turn(table: TrackTable, rows: Longs, innovation: Floats, trust: Floats, rule: Rule) -> None:
+    """Raise or lower the acceleration that the rows are believed capable of."""
     table.lag_px[rows] += NEWEST * (innovation - table.lag_px[rows])
     table.power_px2[rows] += NEWEST * ((innovation**2).sum(axis=1) - table.power_px2[rows])
     rho = (table.lag_px[rows] ** 2).sum(axis=1) / np.maximum(table.power_px2[rows], 1e-12)
@@ -149,9 +188,6 @@ def _turn(table: TrackTable, rows: Longs, innovation: Floats, trust: Floats, end
     speed2 = (table.state[rows, 2:] ** 2).sum(axis=1)
     least = np.clip(2 * TURN_S * (speed2 / TURN_RADIUS_PX) ** 2, rule.q, rule.q_max)
     table.q[rows] = np.clip(table.q[rows] * factor, least, rule.q_max)
-    dark_s = np.minimum(end_us - table.seen_us[rows], TURN_US) / US_PER_S
-    for column in (2, 5):
-        table.cov[rows, column] += (table.q[rows] - rule.q) * dark_s
 
 
 def signs(polarity: Floats) -> Longs:

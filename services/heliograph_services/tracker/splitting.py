@@ -47,7 +47,13 @@ def carve(
         return None
     blinking = np.flatnonzero((labels >= 0) & crossed[labels] & (active.on > 0) & (active.off > 0))
     inner, count = cluster(
-        Active(active.x_px[blinking], active.y_px[blinking], active.on[blinking], active.off[blinking])
+        Active(
+            active.x_px[blinking],
+            active.y_px[blinking],
+            active.on[blinking],
+            active.off[blinking],
+            active.moments[:, blinking],
+        )
     )
     large = np.bincount(inner[inner >= 0], minlength=count) >= min_pixels
     if not large.any():

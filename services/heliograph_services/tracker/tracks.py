@@ -85,11 +85,12 @@ class TrackTable:
         q: (n,) float64, px^2/s^3, the acceleration that it is believed capable of (`sighting`).
         lag_px: (n, 2) float64, mean of the last innovations.
         power_px2: (n,) float64, mean of their squares.
+        turn_rad_s: (n,) float64, how fast its course turns (`turning`).
     """
 
     COLUMNS: Final = (
         "number", "born_us", "seen_us", "invalid_us", "hits", "blinks", "blink_us", "habit", "sign", "status", "read",
-        "radius_px", "size_px", "polarity", "state", "cov", "flow_px_s", "q", "lag_px", "power_px2",
+        "radius_px", "size_px", "polarity", "state", "cov", "flow_px_s", "q", "lag_px", "power_px2", "turn_rad_s",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -113,6 +114,7 @@ class TrackTable:
         self.q: Floats = np.empty(0, np.float64)
         self.lag_px: Floats = np.empty((0, 2), np.float64)
         self.power_px2: Floats = np.empty(0, np.float64)
+        self.turn_rad_s: Floats = np.empty(0, np.float64)
 
     def __len__(self) -> int:
         return len(self.number)
@@ -141,6 +143,8 @@ class TrackTable:
         seen_us: int,
         speed_var: Floats | float,
         q: float = 0.0,
+        v_px_s: Floats | None = None,
+        cross: Floats | float = 0.0,
     ) -> None:
         """Add k rows in birth.
 
@@ -156,10 +160,13 @@ class TrackTable:
             seen_us: of all.
             speed_var: (k, 2) float64, or one, variance of the unknown speed on each axis, (px/s)^2.
             q: of all, px^2/s^3; a sighting raises it to what is allowed at least.
+            v_px_s: (k, 2) float64; None: at rest, as far as is known.
+            cross: (k, 2) float64, or one, covariance of place and speed on each axis, px^2/s.
         """
         k = len(xy_px)
         cov = np.zeros((k, 6))
         cov[:, [0, 3]] = var_px2.reshape(k, -1)
+        cov[:, [1, 4]] = cross
         cov[:, [2, 5]] = speed_var
         new: dict[str, Floats | Longs | Flags] = {
             "number": np.full(k, UNNAMED, np.int64),
@@ -176,12 +183,13 @@ class TrackTable:
             "radius_px": radius_px,
             "size_px": size_px,
             "polarity": polarity,
-            "state": np.concatenate([xy_px, np.zeros((k, 2))], axis=1),
+            "state": np.concatenate([xy_px, np.zeros((k, 2)) if v_px_s is None else v_px_s], axis=1),
             "cov": cov,
             "flow_px_s": np.full((k, 2), np.nan),
             "q": np.full(k, q),
             "lag_px": np.zeros((k, 2)),
             "power_px2": np.zeros(k),
+            "turn_rad_s": np.zeros(k),
         }
         for name in self.COLUMNS:
             setattr(self, name, np.concatenate([getattr(self, name), new[name]]))

@@ -28,6 +28,8 @@ class Window:
         y_px: (n,) uint16.
         on: (n,) uint8, events.
         off: (n,) uint8.
+        tick: (n,) int64, the entries' ticks, counted from the window's begin.
+        tick_us: length of a tick.
         flooded: there were more entries than the limit; the arrays are empty.
     """
 
@@ -37,10 +39,18 @@ class Window:
     y_px: npt.NDArray[Any]
     on: npt.NDArray[Any]
     off: npt.NDArray[Any]
+    tick: npt.NDArray[Any]
+    tick_us: int
     flooded: bool = False
 
 
-_NOTHING: Final = (np.empty(0, np.uint16), np.empty(0, np.uint16), np.empty(0, np.uint8), np.empty(0, np.uint8))
+_NOTHING: Final = (
+    np.empty(0, np.uint16),
+    np.empty(0, np.uint16),
+    np.empty(0, np.uint8),
+    np.empty(0, np.uint8),
+    np.empty(0, np.int64),
+)
 
 
 class Cutter:
@@ -67,14 +77,15 @@ class Cutter:
 
     def cut(self, onsets: Onsets) -> Iterator[Window]:
         """Yield the windows that this message completes, in order; take them all before the next message."""
-        index = (onsets.t0_us // self._tick_us + onsets.tick.astype(np.int64)) // self._ticks
+        tick = onsets.t0_us // self._tick_us + onsets.tick.astype(np.int64)
+        index = tick // self._ticks
         edges = np.flatnonzero(np.diff(index)) + 1
         starts = [0, *edges.tolist()] if len(index) else []
         stops = [*edges.tolist(), len(index)]
         for start, stop in zip(starts, stops, strict=False):
             if self._held_n and index[start] != self._held_index:
                 yield self._release()
-            self._hold(onsets, int(index[start]), start, stop)
+            self._hold(onsets, tick, int(index[start]), slice(start, stop))
         if self._held_n and (self._held_index + 1) * self.window_us <= onsets.t1_us:
             yield self._release()
 
@@ -82,19 +93,20 @@ class Cutter:
         """Forget the window that has begun."""
         self._held, self._held_n = [], 0
 
-    def _hold(self, onsets: Onsets, index: int, start: int, stop: int) -> None:
+    def _hold(self, onsets: Onsets, tick: npt.NDArray[np.int64], index: int, part: slice) -> None:
         self._held_index = index
-        self._held_n += stop - start
+        self._held_n += part.stop - part.start
         if self._held_n > self._limit:
             self._held = []
             return
-        part = slice(start, stop)
-        self._held.append((onsets.x_px[part], onsets.y_px[part], onsets.on_count[part], onsets.off_count[part]))
+        columns = (onsets.x_px, onsets.y_px, onsets.on_count, onsets.off_count, tick - index * self._ticks)
+        self._held.append(tuple(column[part] for column in columns))
 
     def _release(self) -> Window:
         start_us = self._held_index * self.window_us
         flooded = self._held_n > self._limit
         held = [_NOTHING] if flooded else self._held
-        x_px, y_px, on, off = (np.concatenate(column) for column in zip(*held, strict=True))
+        x_px, y_px, on, off, tick = (np.concatenate(column) for column in zip(*held, strict=True))
         self.drop()
-        return Window(start_us, start_us + self.window_us, x_px, y_px, on, off, flooded)
+        end_us = start_us + self.window_us
+        return Window(start_us, end_us, x_px, y_px, on, off, tick, self._tick_us, flooded)
