@@ -85,11 +85,11 @@ class EventSourceConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     onsets_noise_hz: Annotated[
         float, Meta(ge=0.0, le=1e9, description="noise a second that may pass the active gate; 0: min_events alone")
     ] = 2_000.0
-    # The design's radio link.
+    # On one host nothing is gained by thinning; a site with a radio says what it carries (deploy/sites/onboard.toml).
     onsets_bit_rate_max: Annotated[
         float,
         Meta(ge=0.0, le=1e12, description="bit/s of the onsets with all that Zenoh adds; beyond, thinned; 0: no limit"),
-    ] = 2_000_000.0
+    ] = 0.0
 
     wait_for: Annotated[tuple[Name, ...], Meta(description="services that a lockstep source waits for")] = (
         "tracker",
