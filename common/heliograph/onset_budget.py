@@ -1,4 +1,4 @@
-"""What of the onsets crosses the link when all of them do not fit: lights first, then edges, tile by tile.
+"""What of the onsets crosses the link when all of them do not fit: lights first, what is near, edges, tile by tile.
 
 A message may cost what has been saved for it: each of length T adds ``.95 R T / 8 - OVERHEAD_BYTES`` bytes to the
 credit, of which those of `CREDIT_US` are kept at most; each takes from it what its columns really took, and may
@@ -8,7 +8,8 @@ entry has cost lately.
 If n entries do not fit, tiles of 32x32 pixels are left out whole, since a cut target has a wrong centre and a cut front
 a wrong motion. Tiles are taken in the order of a hash until the next one does not fit::
 
-    lights  (`OnsetColumns.light`) by hash(tile, message): what is left out of one message comes with the next ones
+    lights  (`OnsetColumns.light`, `onset_dipoles`) by hash(tile, message): what is left out comes with the next ones
+    near    (`onset_dipoles`) in the room that is left, likewise
     edges   in the room that is left, by hash(tile, half second): a front can be followed for a while
 
 Everything depends on the stream alone, and never on how its events were cut into batches.
@@ -22,6 +23,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from heliograph.onset_dipoles import Marks
 from heliograph.onsets import OnsetColumns
 from heliograph.streams import OVERHEAD_BYTES
 from heliograph.units import US_PER_S
@@ -74,12 +76,13 @@ class OnsetBudget:
         """Forget everything: a new stream begins."""
         self._credit, self._cost = 0.0, FIRST_COST
 
-    def choose(self, columns: OnsetColumns, t0_us: int) -> Kept:
+    def choose(self, columns: OnsetColumns, t0_us: int, marks: Marks | None = None) -> Kept:
         """Return what of a message crosses.
 
         Args:
             columns: of the message.
             t0_us: its begin.
+            marks: of the dipoles among them; None: nobody has looked.
         """
         n = len(columns.tick)
         if not self._limited:
@@ -89,13 +92,19 @@ class OnsetBudget:
         if n <= room:
             return Kept(np.ones(n, np.bool_), 0, 0)
         tile = (columns.y_px.astype(np.int64) >> TILE_SHIFT << 16) | (columns.x_px >> TILE_SHIFT)
-        light = columns.light
+        light = columns.light if marks is None else columns.light | marks.dipole
         keep = np.zeros(n, np.bool_)
         keep[light] = _whole_tiles(tile[light], t0_us // self._message_us, room)
         room -= int(np.count_nonzero(keep))
         thinned = int(np.count_nonzero(light & ~keep))
         if thinned == 0:
-            keep[~light] = _whole_tiles(tile[~light], t0_us // EPOCH_US, room)
+            left = ~light
+            if marks is not None:
+                near = marks.near & left
+                keep[near] = _whole_tiles(tile[near], t0_us // self._message_us, room)
+                room -= int(np.count_nonzero(keep & near))
+                left &= ~near
+            keep[left] = _whole_tiles(tile[left], t0_us // EPOCH_US, room)
         return Kept(keep, thinned, n - thinned - int(np.count_nonzero(keep)))
 
     def spent(self, entries: int, size: int) -> None:

@@ -17,6 +17,7 @@ from heliograph.errors import Refusal, Refusals
 from heliograph.events import EventBatch, concatenate
 from heliograph.messages import Message
 from heliograph.onset_budget import OnsetBudget
+from heliograph.onset_dipoles import Dipoles
 from heliograph.onsets import OnsetCounter, OnsetSettings
 from heliograph.streams import Events, Onsets
 from heliograph.units import US_PER_S
@@ -64,6 +65,8 @@ class SourceCore:
             )
         )
         self._budget = OnsetBudget(0.0 if config.gate == "open" else config.onsets_bit_rate_max, config.onsets_us)
+        columns, rows = -(-info.width // config.pool_px), -(-info.height // config.pool_px)
+        self._dipoles = Dipoles(columns, rows) if self._budget.limited else None
         self._stream: str | None = None
         self._t1_us = 0
         self._onsets_t1_us = 0  # the ticks before this time are out
@@ -78,6 +81,8 @@ class SourceCore:
             self._pending.clear()
             self._counter.reset()
             self._budget.reset()
+            if self._dipoles is not None:
+                self._dipoles.reset()
             self._onsets_t1_us = floor_to(window.t0_us, self._config.tick_us)
             self._rate_from = (window.t0_us, self.counters["events"], self.counters["onsets"])
             self.counters["streams"] += 1
@@ -145,7 +150,8 @@ class SourceCore:
     def _message(self, batch: EventBatch, stream: str, t0_us: int, t1_us: int, end: bool) -> Onsets:
         """Return the onsets of [t0_us, t1_us): gated, thinned, counted."""
         columns = self._counter.count(batch, t0_us, t1_us)
-        kept = self._budget.choose(columns, t0_us)
+        marks = None if self._dipoles is None else self._dipoles.mark(columns, t0_us, self._config.tick_us)
+        kept = self._budget.choose(columns, t0_us, marks)
         keep = slice(None) if kept.keep.all() else kept.keep
         onsets = Onsets(
             camera=self._config.camera,

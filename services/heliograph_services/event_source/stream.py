@@ -8,7 +8,7 @@ from typing import Final
 
 import msgspec
 
-from heliograph import onsets
+from heliograph import onset_dipoles, onsets
 from heliograph.core import Context
 from heliograph.messages import Message
 from heliograph_services.event_source.cameras import open_camera
@@ -72,6 +72,7 @@ def open_stream(config: EventSourceConfig, context: Context) -> SourceStream:
         config = msgspec.structs.replace(config, window_us=lockstep_window_us(config))
     camera = open_camera(config, context)
     onsets.warm()
+    onset_dipoles.warm()
     return SourceStream(camera, SourceCore(config, CameraInfo(camera.width, camera.height)))
 
 

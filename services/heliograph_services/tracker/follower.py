@@ -24,7 +24,7 @@ from heliograph_services.tracker.identity import Identities
 from heliograph_services.tracker.motion import Motion, Steering
 from heliograph_services.tracker.quarantine import Quarantine
 from heliograph_services.tracker.shape import ShapeFilter, Targets
-from heliograph_services.tracker.sighting import TURN_US, Rule, Sighting, see
+from heliograph_services.tracker.sighting import TURN_US, Rule, Sighting, see, shines
 from heliograph_services.tracker.splitting import carve, split
 from heliograph_services.tracker.tracks import INVALID, VALID, Numbers, Snapshot, TrackTable
 from heliograph_services.tracker.windows import Window
@@ -291,7 +291,7 @@ class GridFollower:
         chosen = association.assign(table.state, table.cov, table.radius_px, table.size_px, rows, offered, self._gate)
         # A merely passing edge at a blinking light's place is not the light.
         strict, switched = self._blinking()[rows], targets.switched
-        place = np.flatnonzero((chosen >= 0) & (~strict | switched[chosen]))
+        place = np.flatnonzero((chosen >= 0) & (~strict | switched[chosen]) & self._shine_fits(rows, chosen, targets))
         if len(place) == 0:
             return
         free[chosen[place]] = False
@@ -301,6 +301,15 @@ class GridFollower:
         free[parts] = False
         owner, used = np.concatenate([np.arange(len(place)), part_of]), np.concatenate([chosen[place], parts])
         see(table, self._filters, Sighting(rows[place], owner, used), targets, end_us, self._weights)
+
+    def _shine_fits(self, rows: Longs, chosen: Longs, targets: Targets) -> Flags:
+        """Return (k,) bool: a light that shines and moves takes no edge of one polarity beside its disc."""
+        table = self.table
+        away = np.hypot(targets.x_px[chosen] - table.state[rows, 0], targets.y_px[chosen] - table.state[rows, 1])
+        mine = targets.dipole | (targets.rise & targets.light)
+        return np.asarray(
+            ~shines(table)[rows] | mine[chosen] | (away <= table.radius_px[rows] + association.DISC_SLACK_PX)
+        )
 
     def _find(self, rows: Longs, targets: Targets, free: Flags, end_us: int) -> None:
         """Give rows that lost their light because it turned the nearest free one that blinks; see `recovery`."""

@@ -56,6 +56,9 @@ CLEAR: Final = 0.5
 # scenes of ours, 50 bit/s to 5 kbit/s); an edge that moves by less than a pixel in it passes one: 1.00, at most 1.08 in
 # nine of ten.
 DENSE: Final = 1.2
+# A small light that shines and moves brightens what lies before it and darkens what lies behind: of the events of a
+# window the rarer polarity has 25 to 50 % (LEDs of 2 px radius at 200 px/s); edges of a texture have none.
+DIPOLE_SHARE: Final = 0.15
 # A disc of 13 pixels whose axes differ by a half does so by chance in one of ten windows.
 CHANCE: Final = 1.5
 # Ticks squared; below it is rounding, or one event of a thousand.
@@ -116,6 +119,16 @@ class Targets:
     def blinking(self) -> npt.NDArray[np.bool_]:
         """(k,) bool: those of which many pixels went both ways within the window."""
         return np.asarray(self.both >= BOTH_SHARE * self.pixels)
+
+    @property
+    def dipole(self) -> npt.NDArray[np.bool_]:
+        """(k,) bool: those that a small light may have made that shines and moves; see `DIPOLE_SHARE`."""
+        return np.asarray(np.minimum(self.on, self.off) >= DIPOLE_SHARE * (self.on + self.off))
+
+    @property
+    def rise(self) -> npt.NDArray[np.bool_]:
+        """(k,) bool: those that became clearly brighter."""
+        return np.asarray(self.on - self.off >= CLEAR * (self.on + self.off))
 
     @property
     def switched(self) -> npt.NDArray[np.bool_]:

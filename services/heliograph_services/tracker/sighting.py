@@ -19,6 +19,10 @@ windows point one way; noise alone makes them point any way. With means that for
     b = <nu>,  p = <|nu|^2>,  rho = |b|^2 / p                   a / (2 - a) = .14 for white nu, 1 for a lag
     q *= UP if rho > LAGS,  q /= DOWN if rho < WHITE            within [max(q_0, q_v), q_max]
 
+A light that shines and moves is seen as a dipole (`shape.DIPOLE_SHARE`) in nearly every window, and when it is dark as
+nothing at all. One of that habit that is gone for `DARK_WINDOWS` and comes back as a rise of its own size has blinked,
+however few events it put into a pixel.
+
 Being a ratio, rho needs no true r. What is fast must turn to stay in the image, within a radius R_v: q_v = 2 s^2 tau,
 s = v^2 / R_v, tau = .1 s, the time constant of q_0. Where two beacons touch, their pieces are biased: there q does not
 rise.
@@ -35,11 +39,12 @@ import numpy.typing as npt
 from heliograph.units import US_PER_S
 from heliograph_services.tracker import turning
 from heliograph_services.tracker.backends import Filters
-from heliograph_services.tracker.shape import BOTH_SHARE, CLEAR, Targets, is_switched
+from heliograph_services.tracker.shape import BOTH_SHARE, CLEAR, DIPOLE_SHARE, Targets, is_switched
 from heliograph_services.tracker.tracks import TrackTable
 
 Floats = npt.NDArray[np.float64]
 Longs = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
 
 # The disc of a nearing beacon is followed in a few windows; a window that shows little of it must not shrink it.
 GROW: Final = 0.2
@@ -48,6 +53,13 @@ SHRINK: Final = 0.1
 # row: a beacon at 50 bit/s comes to a third at most, and what is hidden keeps its habit.
 HABIT: Final = 0.05
 HABIT_WINDOWS: Final = 3.0
+# A rise and a fall among the dipoles of one lit bit of 20 ms leave the mean above SHINES; after 12 windows of nothing
+# else it is above .7.
+SHINE: Final = 0.1
+SHINES: Final = 0.5
+# Half a bit at 50 bit/s. An edge that trembles does not vanish for so long.
+DARK_WINDOWS: Final = 2.0
+SIZE_RATIO: Final = 2.0
 # A share of 1/4 remembers 35 ms at 5 ms a window: a turn of 100 ms is noticed while it lasts.
 NEWEST: Final = 0.25
 # From q_0 to a thousand times as much in 7 windows that lag, and back in 38 that do not: a turn lasts for .1 s.
@@ -149,10 +161,13 @@ def see(table: TrackTable, filters: Filters, seen: Sighting, targets: Targets, e
     both = seen.sum(targets.both)
     switched = is_switched(total, on + off, both)
     blinked = (both >= BOTH_SHARE * total) | ((sign * table.sign[rows] < 0) & switched)
+    blinked |= _relit(table, rows, (on - off) >= CLEAR * (on + off), seen_px, end_us, rule)
     table.blinks[rows] += blinked
     table.blink_us[rows] = np.where(blinked, end_us, table.blink_us[rows])
     passed = np.clip((end_us - table.seen_us[rows]) / (rule.window_s * US_PER_S), 1.0, HABIT_WINDOWS)
     table.habit[rows] = np.minimum(table.habit[rows] * (1 - HABIT) ** passed + HABIT * switched, 1.0)
+    dipole = np.minimum(on, off) >= DIPOLE_SHARE * (on + off)
+    table.shine[rows] += SHINE * (dipole - table.shine[rows])
     table.sign[rows] = np.where(sign == 0, table.sign[rows], sign)
     table.seen_us[rows] = end_us
     table.hits[rows] += targets.light[chosen]
@@ -188,6 +203,18 @@ def _turn(table: TrackTable, rows: Longs, innovation: Floats, trust: Floats, rul
     speed2 = (table.state[rows, 2:] ** 2).sum(axis=1)
     least = np.clip(2 * TURN_S * (speed2 / TURN_RADIUS_PX) ** 2, rule.q, rule.q_max)
     table.q[rows] = np.clip(table.q[rows] * factor, least, rule.q_max)
+
+
+def _relit(table: TrackTable, rows: Longs, rise: Flags, seen_px: Floats, end_us: int, rule: Rule) -> Flags:
+    """Return (k,) bool: the rows that shone, were dark, and are seen to be switched on again; see the module."""
+    dark = end_us - table.seen_us[rows] > DARK_WINDOWS * rule.window_s * US_PER_S
+    ratio = seen_px / table.size_px[rows]
+    return np.asarray(shines(table)[rows] & dark & rise & (ratio < SIZE_RATIO) & (ratio > 1 / SIZE_RATIO))
+
+
+def shines(table: TrackTable) -> Flags:
+    """Return (n,) bool: the rows that have the habit of a light that shines and moves."""
+    return np.asarray(table.shine > SHINES)
 
 
 def signs(polarity: Floats) -> Longs:

@@ -73,6 +73,7 @@ class TrackTable:
         blinks: (n,) int64, windows that show a blinking light and no crossing edge (`shape.BOTH_SHARE`).
         blink_us: (n,) int64, end of the last of them; of the first window if there was none.
         habit: (n,) float64, share of the windows that a switched light may have made, smoothed (`sighting`).
+        shine: (n,) float64, share of the windows that a moving light may have made, smoothed (`sighting`).
         sign: (n,) int64, of the last clear polarity: 1, -1, or 0 before there was one.
         status: (n,) int64, index into WORDS.
         radius_px: (n,) float64, covers nine tenths of the target's pixels, smoothed.
@@ -89,8 +90,9 @@ class TrackTable:
     """
 
     COLUMNS: Final = (
-        "number", "born_us", "seen_us", "invalid_us", "hits", "blinks", "blink_us", "habit", "sign", "status", "read",
-        "radius_px", "size_px", "polarity", "state", "cov", "flow_px_s", "q", "lag_px", "power_px2", "turn_rad_s",
+        "number", "born_us", "seen_us", "invalid_us", "hits", "blinks", "blink_us", "habit", "shine", "sign", "status",
+        "read", "radius_px", "size_px", "polarity", "state", "cov", "flow_px_s", "q", "lag_px", "power_px2",
+        "turn_rad_s",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -102,6 +104,7 @@ class TrackTable:
         self.blinks: Longs = np.empty(0, np.int64)
         self.blink_us: Longs = np.empty(0, np.int64)
         self.habit: Floats = np.empty(0, np.float64)
+        self.shine: Floats = np.empty(0, np.float64)
         self.sign: Longs = np.empty(0, np.int64)
         self.status: Longs = np.empty(0, np.int64)
         self.read: Flags = np.empty(0, np.bool_)
@@ -177,6 +180,7 @@ class TrackTable:
             "blinks": blinks.astype(np.int64),
             "blink_us": np.full(k, seen_us, np.int64),
             "habit": np.zeros(k),
+            "shine": np.zeros(k),
             "sign": sign,
             "status": np.full(k, NEW, np.int64),
             "read": np.zeros(k, np.bool_),
