@@ -19,8 +19,8 @@ def entries(*ticks: tuple[Counts, Counts]) -> OnsetColumns:
     on, off = (np.stack([tick[k] for tick in ticks]) for k in range(2))
     tick, y_px, x_px = np.nonzero((on > 0) | (off > 0))
     at = (tick, y_px, x_px)
-    n, x_px, y_px = (part.astype(np.uint16) for part in (tick, x_px, y_px))
-    return OnsetColumns(n, x_px, y_px, on[at], off[at], np.zeros(len(n), np.bool_), 0, 0, 0)
+    n, x, y = (part.astype(np.uint16) for part in (tick, x_px, y_px))
+    return OnsetColumns(n, x, y, on[at], off[at], np.zeros(len(n), np.bool_), 0, 0, 0)
 
 
 def image(*pixels: tuple[int, int]) -> Counts:
