@@ -9,7 +9,7 @@ If n entries do not fit, tiles of 32x32 pixels are left out whole, since a cut t
 a wrong motion. Tiles are taken in the order of a hash until the next one does not fit::
 
     lights  (`OnsetColumns.light`, `onset_dipoles`) by hash(tile, message): what is left out comes with the next ones
-    near    (`onset_dipoles`) in the room that is left, likewise
+    near    (`onset_dipoles`) in the room that is left, by hash(tile, half second): what came and went would blink
     edges   in the room that is left, by hash(tile, half second): a front can be followed for a while
 
 Everything depends on the stream alone, and never on how its events were cut into batches.
@@ -101,7 +101,7 @@ class OnsetBudget:
             left = ~light
             if marks is not None:
                 near = marks.near & left
-                keep[near] = _whole_tiles(tile[near], t0_us // self._message_us, room)
+                keep[near] = _whole_tiles(tile[near], t0_us // EPOCH_US, room)
                 room -= int(np.count_nonzero(keep & near))
                 left &= ~near
             keep[left] = _whole_tiles(tile[left], t0_us // EPOCH_US, room)

@@ -12,7 +12,7 @@ from heliograph_services.tracker.sighting import Rule, Sighting, see, shines
 from heliograph_services.tracker.tracks import TrackTable
 
 WINDOW_US = 5_000
-RULE = Rule(0.3, 5e-3, 1, 12_000.0, 9_000.0, 8e7)
+RULE = Rule(0.3, 5e-3, 5e-3, 1, 12_000.0, 9_000.0, 8e7)
 
 
 def target(on: int, off: int, pixels: int = 12) -> Targets:
@@ -21,11 +21,14 @@ def target(on: int, off: int, pixels: int = 12) -> Targets:
     return Targets(
         50 * whole, 50 * whole, np.array([pixels], np.int32), 2.5 * whole, 2.5 * whole, np.array([on], np.int32),
         np.array([off], np.int32), np.zeros(1, np.int32), whole, np.zeros((1, 2)), np.zeros(1, np.uint8),
-        np.zeros(1, np.bool_),
+        np.zeros(1), np.zeros((1, 2)), np.zeros(1), np.zeros(1, np.bool_),
     )  # fmt: skip
 
 
-def followed(windows: list[tuple[int, int] | None], pixels: int = 12) -> TrackTable:
+Windows = list[tuple[int, int] | None]
+
+
+def followed(windows: Windows, pixels: int = 12) -> TrackTable:
     """Return the row that is seen as these brighter and darker events, or not at all; the last one of `pixels`."""
     table, filters = TrackTable(), chosen(TrackerConfig()).filters
     place, no = np.full((1, 2), 50.0), np.zeros(1, np.int64)
@@ -41,8 +44,8 @@ def followed(windows: list[tuple[int, int] | None], pixels: int = 12) -> TrackTa
     return table
 
 
-LIT = [(8, 5)] * 12
-DARK = [None] * 8
+LIT: Windows = [(8, 5)] * 12
+DARK: Windows = [None] * 8
 
 
 def test_a_light_that_shines_and_comes_back_as_a_rise_has_blinked_however_few_its_events() -> None:
@@ -60,11 +63,11 @@ def test_a_light_that_shines_and_comes_back_as_a_rise_has_blinked_however_few_it
     ],
     ids=["never dark", "came back darker", "came back as it was", "came back larger", "was an edge"],
 )
-def test_nothing_else_has(windows: list[tuple[int, int] | None], pixels: int) -> None:
+def test_nothing_else_has(windows: Windows, pixels: int) -> None:
     assert followed(windows, pixels).blinks[0] == 0
 
 
 def test_rises_and_falls_of_whole_bits_leave_the_habit() -> None:
-    bit = [(13, 0), (8, 5), (8, 5), (8, 5), (3, 10)]
+    bit: Windows = [(13, 0), (8, 5), (8, 5), (8, 5), (3, 10)]
     assert shines(followed([*bit, *DARK, *bit, *DARK, *bit, *DARK])).all()
     assert not shines(followed([(12, 0), (0, 12)] * 20)).any()
