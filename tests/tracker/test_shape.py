@@ -128,10 +128,14 @@ def test_pooled_squares_are_given_back_in_sensor_pixels_at_their_centres() -> No
     assert found.pixels[0] == 4
 
 
+def pixels(x_px: list[int], y_px: list[int], on: list[int], off: list[int]) -> Active:
+    """Return active pixels without moments."""
+    x, y, brighter, darker = (np.array(column, np.int32) for column in (x_px, y_px, on, off))
+    return Active(x, y, brighter, darker, np.zeros((2, len(x))))
+
+
 def test_targets_keep_the_order_of_their_clusters_and_count_both_polarities() -> None:
-    active = Active(
-        *(np.array(c, np.int32) for c in ([1, 9, 2, 8], [1, 9, 1, 9], [3, 0, 1, 0], [0, 2, 0, 7])), np.zeros((2, 4))
-    )
+    active = pixels([1, 9, 2, 8], [1, 9, 1, 9], [3, 0, 1, 0], [0, 2, 0, 7])
     labels = np.array([1, 0, 1, 0], np.int32)
     found = shape.measure(active, labels, np.zeros(2, np.bool_), 1, ShapeFilter(1, 9, 0.1, "distinct"))
     assert found.x_px.tolist() == [(9 * 2 + 8 * 7) / 9, (1 * 3 + 2) / 4]
@@ -140,7 +144,7 @@ def test_targets_keep_the_order_of_their_clusters_and_count_both_polarities() ->
 
 
 def test_noise_belongs_to_no_target() -> None:
-    active = Active(*(np.array(c, np.int32) for c in ([1, 40], [1, 40], [1, 1], [0, 0])), np.zeros((2, 2)))
+    active = pixels([1, 40], [1, 40], [1, 1], [0, 0])
     found = shape.measure(
         active, np.array([0, -1], np.int32), np.zeros(1, np.bool_), 1, ShapeFilter(1, 9, 0.1, "distinct")
     )
