@@ -13,6 +13,7 @@ from typing import Final
 # Modules that have a `warm()`.
 _MODULES: Final = (
     "heliograph.onsets",
+    "heliograph.onset_dipoles",
     "heliograph_services.tracker.core",
     "heliograph_services.decoder.core",
     "heliograph_services.event_source.simulation",
