@@ -155,7 +155,8 @@ def discs(rng: np.random.Generator) -> tuple[Longs, Longs, Floats]:
 
 def window_of(x: Longs, y: Longs, index: int) -> Window:
     """Return the window in which all discs go on (even) or off (odd)."""
-    count = np.full(len(x), 1, np.uint8)
+    # A switched light passes two thresholds in a pixel, at least: one that passes a single one may be an edge.
+    count = np.full(len(x), 2, np.uint8)
     none = np.zeros(len(x), np.uint8)
     on, off = (count, none) if index % 2 == 0 else (none, count)
     start_us = index * WINDOW_US
@@ -171,7 +172,7 @@ def windows(rng: np.random.Generator, runs: int) -> None:
         many = TrackerConfig(clustering=config.clustering, kalman=config.kalman, max_tracks=2 * TRACKS)
         follower = GridFollower(
             many, backends.chosen(many), NoMotion(), width=1280, height=720, pool_px=1, window_us=WINDOW_US,
-            tick_us=WINDOW_US,            numbers=Numbers(), counters=dict.fromkeys(COUNTERS, 0), refusals=Counter(),
+            tick_us=WINDOW_US, numbers=Numbers(), counters=dict.fromkeys(COUNTERS, 0), refusals=Counter(),
         )  # fmt: skip
         for index in range(NAMED_AFTER):
             follower.step(window_of(x, y, index))
