@@ -130,7 +130,9 @@ def page(flow: dict[str, Any], training: dict[str, Any] | None) -> str:
         f" tuned on seeds {result['tuning_seeds']}: {json.dumps(result['tuned'])}. Cells: median endpoint error in % of"
         " the speed (95 % interval: bootstrap over place x 1 s; no answer counts 100 %), median angle error of the"
         " answers. Noise is of the whole sensor, of which the scenes are a cut-out of 160 x 120; core: mean share of"
-        " one core over the row's scenes, feeding and asking. The centroid is told where the discs are."
+        " one core over the row's scenes, feeding and asking. The centroid is told where the discs are. Of the others"
+        " only the plane was tuned for these scenes; Orchard and centroid keep what was chosen on the same seeds for an"
+        " earlier set of the network's scales, and with it Orchard's form is that of the population read-out."
     )
     lines = [
         "# Flow: how well, at what cost",

@@ -13,7 +13,8 @@ below the camera (20 px a metre). Four kinds of motion:
 At the end of each dark time the place of the track that the beacon had at its beginning is compared with the true one
 (the last Tracks before, extrapolated; period 20 ms), and 300 ms later whether it is still that track's name. Counted
 are beacons that were tracked (within 5 px, status valid) when they went dark, and in view throughout. Both arms see
-the very same events. `same` intervals: bootstrap over the seconds of each run and beacon, paired.
+the very same events. `same` intervals: bootstrap over single dark times, paired;
+those of one run are not independent, so the intervals are too narrow.
 Evidence: simulated; development seeds.
 """
 
