@@ -1,7 +1,7 @@
 """The last raw events, for tracks that arrive later than their targets.
 
 A track comes with its state at an instant A that has passed. From A its path is followed back to its birth and forth to
-now through the kept windows, centred on its own events both ways (heliograph_services.decoder.routing; backwards in
+now through the kept windows, centred on its own events both ways (heliograph_services.decoder.centring; backwards in
 mirrored time, t -> -t, where all that is known of filters holds). What it would have heard is given to its receiver
 first. So a track that arrives late loses nothing, as far back as the backlog goes; and a region that has lost its
 target catches up with it from A. Of a window with many events those near the regions alone are looked at
@@ -18,8 +18,8 @@ import numpy as np
 
 from heliograph.errors import Refusals
 from heliograph.events import EventBatch, Flags, Times
+from heliograph_services.decoder.region_state import CORE, NEVER, P_XV, US_PER_S, VX, VY, Depths, Floats, Ints, X, Y
 from heliograph_services.decoder.regions import Regions, Routed
-from heliograph_services.decoder.routing import CORE, NEVER, P_XV, US_PER_S, VX, VY, Depths, Floats, Ints, X, Y
 from heliograph_services.decoder.tiles import Tiles
 
 _MIRROR: Final = np.array([[1.0], [1.0], [-1.0], [-1.0]])

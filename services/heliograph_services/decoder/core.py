@@ -3,7 +3,7 @@
 One window (config.window_us, on an absolute grid) after another::
 
     tracks that take effect -> regions                 schedule, tracks, following, backlog
-    events -> the track that hears them -> receivers   regions, routing, links
+    events -> the track that hears them -> receivers   regions, routing, centring, links
     frames and refusals, one message a window
     identities: accepted, changed, lost                identities
     on the grid of refresh_us: texts joined, identities refreshed; each second: link quality

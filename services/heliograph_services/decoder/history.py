@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from heliograph_services.decoder.routing import Floats, Ints
+from heliograph_services.decoder.region_state import Floats, Ints
 
 
 class History:

@@ -5,7 +5,7 @@ besides where the beacon is, and that there is one. So an identity is *withheld*
 
 - whose place is not known any more: the region has not been centred on its own events for `BLIND_US`, and lies off the
   sensor with all it hears; or nothing has been read for `STALE_FRAMES` frames either, and its centre is off the
-  sensor, or its doubt is beyond what it can hear, 3 sqrt(P_xx) > r + GROW_LIMIT_PX (routing);
+  sensor, or its doubt is beyond what it can hear, 3 sqrt(P_xx) > r + GROW_LIMIT_PX (region_state);
 - which another one has left behind: that has read the same payload on the same link for `STALE_FRAMES` frames since;
 - on the spot of another one that reads the same: one light is one beacon. What is held already, then the larger margin,
   keeps it.
@@ -26,8 +26,8 @@ from heliograph.messages import Change, Identification, Message
 from heliograph_services.decoder.following import BLIND_US, Applied, Following
 from heliograph_services.decoder.links import Accepted, LinkPlan
 from heliograph_services.decoder.publish import Publisher
+from heliograph_services.decoder.region_state import GROW_LIMIT_PX
 from heliograph_services.decoder.regions import Place
-from heliograph_services.decoder.routing import GROW_LIMIT_PX
 from heliograph_services.decoder.tracks import Track
 
 # Receivers drop single frames, and look ahead by one or two; a LED dark for five is rare, and costs nothing: see above.

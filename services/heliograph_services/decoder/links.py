@@ -26,7 +26,8 @@ from heliograph.link.modulations import modulation, names
 from heliograph.site import Beacon
 from heliograph.units import BIT_RATE_MIN
 from heliograph_services.decoder.config import AUTO, DecoderConfig
-from heliograph_services.decoder.routing import CORE_OF, HEART_OF, Depths
+from heliograph_services.decoder.region_state import Depths
+from heliograph_services.decoder.routing import CORE_OF, HEART_OF
 
 # Four frames of 20 bits at 100 bit/s take 0.8 s: who has not accepted by then is not about to.
 CONTEST_US: Final = 1_000_000

@@ -1,7 +1,7 @@
 """Regions: the pixels that each track listens to, moved by prediction and by the regions' own events.
 
-A region is a Kalman filter of its target's place (heliograph_services.decoder.routing). What the tracker says of an
-instant A in the past is compared with where the region was at A; the difference d corrects the region now with the
+A region is a Kalman filter of its target's place (heliograph_services.decoder.region_state). What the tracker says of
+an instant A in the past is compared with where the region was at A; the difference d corrects the region now with the
 weight ::
 
     w = P_xx / (P_xx + R),   R = variance of what is told, carried from A to now
@@ -18,8 +18,8 @@ import numpy as np
 
 from heliograph.errors import Refusal, Refusals
 from heliograph.events import EventBatch, Flags, Times
-from heliograph_services.decoder import routing
-from heliograph_services.decoder.routing import (
+from heliograph_services.decoder import centring, region_state, routing
+from heliograph_services.decoder.region_state import (
     CORE,
     NEVER,
     P_VV,
@@ -133,13 +133,13 @@ def column(at: Place, radius_px: float, sure: Doubt) -> Floats:
 class Routed:
     """The events of a window by track: those of track i are [starts[i], starts[i + 1]); `outside` fell into none."""
 
-    starts: routing.Ints
+    starts: region_state.Ints
     t_us: Times
     on: Flags
-    depth: routing.Depths
+    depth: region_state.Depths
     outside: int
 
-    def of(self, i: int) -> tuple[Times, Flags, routing.Depths]:
+    def of(self, i: int) -> tuple[Times, Flags, region_state.Depths]:
         """Return times and polarities of the events of track i, and how deep in its image they lie."""
         first, behind = int(self.starts[i]), int(self.starts[i + 1])
         return self.t_us[first:behind], self.on[first:behind], self.depth[first:behind]
@@ -172,8 +172,8 @@ class Regions:
         self._n_painted = 0
         self._state = np.zeros((ROWS, capacity), np.float64)
         self._centred_us = np.full(capacity, NEVER, np.int64)
-        self._heard = np.zeros((routing.HEARD_ROWS, capacity), np.int64)
-        bins = 2 * int(routing.BINS_PER_PX * (max_reach_px + routing.GROW_LIMIT_PX + 2)) + 2
+        self._heard = np.zeros((region_state.HEARD_ROWS, capacity), np.int64)
+        bins = 2 * int(centring.BINS_PER_PX * (max_reach_px + region_state.GROW_LIMIT_PX + 2)) + 2
         self._counts = np.zeros((capacity, 2, bins), np.int32)
         self.noise_per_px_us = 0.0  # of the last window, outside all regions
 
@@ -184,7 +184,7 @@ class Regions:
         self.keep([])
         self.now_us = now_us
 
-    def load(self, states: Floats, centred_us: routing.Ints, now_us: int) -> None:
+    def load(self, states: Floats, centred_us: region_state.Ints, now_us: int) -> None:
         """Replace all regions by these: states (ROWS, k) as of now_us."""
         self.restart(now_us)
         self.append(states, centred_us)
@@ -202,7 +202,7 @@ class Regions:
         self._forget(m, self.n)
         self.n = m
 
-    def append(self, states: Floats, centred_us: routing.Ints) -> None:
+    def append(self, states: Floats, centred_us: region_state.Ints) -> None:
         """Add regions: states (ROWS, k) as of now_us, and when each was last centred."""
         self._repaint()
         k = states.shape[1]
@@ -268,14 +268,14 @@ class Regions:
         """Return a copy of all states, (ROWS, n)."""
         return self._state[:, : self.n].copy()
 
-    def centred_us(self) -> routing.Ints:
+    def centred_us(self) -> region_state.Ints:
         """Return a copy of when each region was last centred on its own events."""
         return self._centred_us[: self.n].copy()
 
     def advance(self, us: int) -> None:
         """Carry all regions by so much time, without events."""
         if us > 0:
-            routing.carry(self._state, self.n, float(us))
+            region_state.carry(self._state, self.n, float(us))
         self.now_us += us
 
     def _step(self, window_us: int) -> int:
@@ -290,7 +290,7 @@ class Regions:
         """Return x, y and how far (px) any region may hear through the next window_us, (n,) each."""
         x_px, y_px, vx, vy, reach = self._state[[X, Y, VX, VY, REACH], : self.n]
         ways_px = np.hypot(vx, vy) * (window_us / US_PER_S)
-        return x_px, y_px, reach + ways_px + routing.GROW_LIMIT_PX + EAR_MARGIN_PX
+        return x_px, y_px, reach + ways_px + region_state.GROW_LIMIT_PX + EAR_MARGIN_PX
 
     def follow(self, batch: EventBatch, window_us: int, refusals: Refusals, elsewhere: int = 0) -> Routed:
         """Move and centre the regions through [now_us, now_us + window_us); return its events by track.

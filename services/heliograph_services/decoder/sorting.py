@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from heliograph.events import Flags, Times
-from heliograph_services.decoder.routing import Depths, Ints, Labels, kernel
+from heliograph_services.decoder.region_state import Depths, Ints, Labels, kernel
 
 
 @kernel

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliograph.events import EventBatch
-from heliograph_services.decoder.routing import kernel
+from heliograph_services.decoder.region_state import kernel
 
 Order = npt.NDArray[np.int32]
 Floats = npt.NDArray[np.float64]

@@ -1,0 +1,189 @@
+"""The kernels that let a region's own events say where its target is.
+
+A region is a Kalman filter (heliograph_services.decoder.region_state). What it has heard since it was centred last is a
+measurement as soon as it holds n >= n_min events on enough distinct pixels and stands out from the surrounding noise,
+n >= 2 e + 3 sqrt(e); else it is forgotten after `HOLD_US`::
+
+    z = trimmed mean of (event - c(t)) / (1 - e / n),   R = 2 (rho^2 / 4 + 1/12) / n + R_0
+    S = P_xx + R,   |z| at most 5 sqrt(S),   c += P_xx z / S,   v += P_xv z / S
+    u = (z_x^2 + z_y^2) / 2 S,   q <- q exp(eta (min(u, u_max) - 1))
+
+rho is the target's radius. The last line keeps the filter as nimble as its target: residuals larger than their
+expected size are an acceleration that was not allowed for. An LED that rests or goes straight is averaged over many
+edges; one that turns at 20,000 px/s2 is followed edge by edge. The mean is trimmed by a fifth at both ends of each
+axis, so that a neighbour's edge cannot pull, while the two crescents of a moving lit disc still balance (a median
+would jump from one to the other). A pixel counts at most `PIXEL_LIMIT` times a step, and one alone is no measurement:
+a hot one cannot pull.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from heliograph_services.decoder.region_state import (
+    AGE_US,
+    EVENTS,
+    FIRST,
+    GROW_LIMIT_PX,
+    P_VV,
+    P_XV,
+    P_XX,
+    PIXELS,
+    RADIUS,
+    RANK,
+    REACH,
+    SHARED,
+    SPEED_LIMIT_PX_S,
+    VX,
+    VY,
+    Counts,
+    Floats,
+    Ints,
+    Q,
+    X,
+    Y,
+    part,
+    shown_px,
+)
+
+# Fewer events say nothing: three pixels that fire twice. The edge of a 3 px disc makes about 30.
+MIN_EVENTS: Final = 6
+# Sum over steps of (distinct pixels - 1): a hot pixel alone never gets there.
+MIN_PIXELS: Final = 2
+TRIM: Final = 0.2
+# A faint target's edge trickles in over some milliseconds; what is older is no edge.
+HOLD_US: Final = 5_000
+# A sixth of a pixel, squared: what pixels, late OFF events and half-lit crescents leave of a mean over many events.
+R_0: Final = 0.05
+# The filter's bandwidth is about (q / (R T))^(1/4): with R T = .03 px2 x 2 ms from 11 to 640 rad/s. Below, a filter
+# forgets more slowly than its tracker's 10 Hz; above, it is the last edge alone.
+Q_MIN: Final = 1.0
+Q_MAX: Final = 1e7
+# After ten edges of the expected size nothing is left of a turn; the first edge of one raises q fivefold at most.
+ETA: Final = 0.2
+U_MAX: Final = 9.0
+SIGMAS_LIMIT: Final = 5.0
+# A quarter of a pixel: below the centroid's own noise.
+BINS_PER_PX: Final = 4
+SHARED_VARIANCE: Final = 10.0
+# A region that has not been centred for so long follows nothing that could be confused.
+ALIVE_US: Final = 30_000
+
+
+@part
+def share(state: Floats, centred_us: Ints, n: int, now_us: int) -> None:
+    """Note which regions overlap with another one, of no lower rank, that has been centred of late."""
+    for i in range(n):
+        state[SHARED, i] = 0.0
+    for i in range(n):
+        for k in range(i):
+            both = state[REACH, i] + state[REACH, k]
+            dx, dy = abs(state[X, i] - state[X, k]), abs(state[Y, i] - state[Y, k])
+            if dx < both and dy < both and dx * dx + dy * dy < both * both:
+                if now_us - centred_us[k] <= ALIVE_US and state[RANK, k] >= state[RANK, i]:
+                    state[SHARED, i] = 1.0
+                if now_us - centred_us[i] <= ALIVE_US and state[RANK, i] >= state[RANK, k]:
+                    state[SHARED, k] = 1.0
+
+
+@part
+def trimmed_mean(counts: Counts, n: int, half: int) -> float:
+    """Return the mean of what is left after a fifth is cut from both ends, to a quarter of a bin's width.
+
+    Args:
+        counts: (2 half or more,) residuals by quarter pixel, 0 px between the bins half - 1 and half.
+        n: their sum, above 0.
+        half: bins on each side.
+    """
+    cut = TRIM * n
+    low, high = cut, n - cut
+    below, total = 0.0, 0.0
+    for at in range(2 * half):
+        above = below + counts[at]
+        inside = min(above, high) - max(below, low)
+        if inside > 0.0:
+            total += inside * (at - half + 0.5)
+        below = above
+    return total / (high - low) / BINS_PER_PX
+
+
+@part
+def half_bins(reach: float, bins: int) -> int:
+    """Return how many bins each side of a region's histogram has."""
+    return min(int((reach + GROW_LIMIT_PX + 2.0) * BINS_PER_PX), bins // 2)
+
+
+@part
+def correct(state: Floats, i: int, zx: float, zy: float, variance: float) -> None:
+    """Let a measurement correct region i: residuals in px, their variance in px2."""
+    if state[SHARED, i]:
+        variance *= SHARED_VARIANCE
+    size = state[P_XX, i] + variance
+    limit = SIGMAS_LIMIT * math.sqrt(size)
+    away = math.sqrt(zx * zx + zy * zy)
+    surprise = away * away / (2.0 * size)
+    if away > limit:
+        zx *= limit / away
+        zy *= limit / away
+    gx, gv = state[P_XX, i] / size, state[P_XV, i] / size
+    state[X, i] += gx * zx
+    state[Y, i] += gx * zy
+    state[VX, i] = min(max(state[VX, i] + gv * zx, -SPEED_LIMIT_PX_S), SPEED_LIMIT_PX_S)
+    state[VY, i] = min(max(state[VY, i] + gv * zy, -SPEED_LIMIT_PX_S), SPEED_LIMIT_PX_S)
+    state[P_VV, i] -= gv * state[P_XV, i]
+    state[P_XV, i] *= 1.0 - gx
+    state[P_XX, i] *= 1.0 - gx
+    if not state[SHARED, i]:
+        state[Q, i] = min(max(state[Q, i] * math.exp(ETA * (min(surprise, U_MAX) - 1.0)), Q_MIN), Q_MAX)
+
+
+@part
+def centre(state: Floats, i: int, heard: Ints, counts: Counts, noise: float) -> bool:
+    """Correct region i if what it has heard is a measurement; return whether it was.
+
+    Args:
+        state: as of the step's end.
+        i: which region.
+        heard: (HEARD_ROWS, capacity).
+        counts: (2, bins): its residuals by quarter pixel.
+        noise: events of the surrounding noise to be expected among them.
+    """
+    n = heard[EVENTS, i]
+    if n < MIN_EVENTS or heard[PIXELS, i] < MIN_PIXELS or n < 2.0 * noise + 3.0 * math.sqrt(noise):
+        return False
+    half = half_bins(state[REACH, i], counts.shape[1])
+    signal = 1.0 - noise / n
+    zx = trimmed_mean(counts[0], n, half) / signal
+    zy = trimmed_mean(counts[1], n, half) / signal
+    spread = state[RADIUS, i] * state[RADIUS, i] / 4.0 + 1.0 / 12.0
+    correct(state, i, zx, zy, 2.0 * spread / n / (signal * signal) + R_0)
+    return True
+
+
+@part
+def settle(
+    state: Floats,
+    centred_us: Ints,
+    heard: Ints,
+    counts: Counts,
+    n: int,
+    now_us: int,
+    step_us: int,
+    noise_per_px_us: float,
+    self_centring: bool,
+) -> None:
+    """Centre the regions that have heard enough, and forget what has led to nothing; arguments as of `follow`."""
+    for i in range(n):
+        if heard[EVENTS, i] == 0:
+            continue
+        heard[FIRST, i] = 0
+        heard[AGE_US, i] += step_us
+        reach = shown_px(state, i)
+        noise = noise_per_px_us * heard[AGE_US, i] * math.pi * reach * reach
+        done = self_centring and centre(state, i, heard, counts[i], noise)
+        if done:
+            centred_us[i] = now_us
+        if done or heard[AGE_US, i] >= HOLD_US:
+            counts[i, :, : 2 * half_bins(state[REACH, i], counts.shape[2])] = 0
+            heard[:, i] = 0

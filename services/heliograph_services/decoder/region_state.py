@@ -1,0 +1,110 @@
+"""The state of the regions, a column a track, and what time does to it.
+
+Each axis of a region is a Kalman filter of position and velocity, one covariance P for both axes, driven by white
+acceleration of intensity q::
+
+    c += v T,   P <- F P F' + q [T^3/3, T^2/2; T^2/2, T]            F = [1, T; 0, 1]
+
+What is heard corrects it (heliograph_services.decoder.centring). A region that is not centred grows as its uncertainty
+does, s = r + max(0, 3 sqrt(P_xx) - GROW_FROM_PX), up to `GROW_LIMIT_PX`: so it hears its target again behind an
+occlusion.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, Final, TypeVar, cast
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Labels = npt.NDArray[np.uint16]
+Counts = npt.NDArray[np.int32]
+Ints = npt.NDArray[np.int64]
+Depths = npt.NDArray[np.uint8]
+
+# Rows of a state: a column a track.
+X: Final = 0
+Y: Final = 1
+VX: Final = 2
+VY: Final = 3
+REACH: Final = 4  # r, px
+RADIUS: Final = 5  # rho, px
+P_XX: Final = 6
+P_XV: Final = 7
+P_VV: Final = 8
+Q: Final = 9
+SHARED: Final = 10  # 1 where another region that follows its target overlaps with it
+RANK: Final = 11  # 1 where frames are being read, else 0
+CORE: Final = 12  # m, px
+ROWS: Final = 13
+# Rows of what the regions have heard since they were centred last: a column a track.
+EVENTS: Final = 0
+PIXELS: Final = 1  # sum over the steps of distinct pixels less one
+AGE_US: Final = 2
+FIRST: Final = 3  # a pixel was heard in this step
+HEARD_ROWS: Final = 4
+
+# Where two regions overlap, an event may be either's: both go on nearly straight until they have parted. At 200 px/s
+# that takes 60 ms; 1000 px/s2 bend a way by 2 px in that time.
+Q_SHARED: Final = 1e3
+# The margin of a region holds so much already.
+GROW_FROM_PX: Final = 2.0
+# Half a second of a walking pace's changes of mind; more would hear its neighbours.
+GROW_LIMIT_PX: Final = 8.0
+# Uncertainty beyond a sensor's width, or beyond any speed, says no more.
+P_XX_LIMIT: Final = 1e6
+P_VV_LIMIT: Final = 1e9
+# Beyond it a coordinate is a damaged number; four sensors of the widest kind keep the arithmetic exact.
+PLACE_LIMIT_PX: Final = 16_384.0
+# 0.1 m of an LED passing 0.1 m before a 400 px lens at 10 m/s: nothing seen moves faster.
+SPEED_LIMIT_PX_S: Final = 40_000.0
+US_PER_S: Final = 1e6
+# Of a time: not yet.
+NEVER: Final = -(2**62)
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+
+def kernel(function: _F) -> _F:
+    """Return the function, compiled at its first call, cached on disk, free of the interpreter's lock."""
+    return cast("_F", numba.njit(cache=True, nogil=True)(function))
+
+
+def part(function: _F) -> _F:
+    """Return the function, compiled as a part of what calls it, and cached with that (heliograph.link.stamp)."""
+    return cast("_F", numba.njit(nogil=True)(function))
+
+
+@part
+def grown_px(state: Floats, i: int) -> float:
+    """Return how much farther than its reach region i listens for now."""
+    grown: float = min(max(3.0 * math.sqrt(state[P_XX, i]) - GROW_FROM_PX, 0.0), GROW_LIMIT_PX)
+    return grown
+
+
+@part
+def shown_px(state: Floats, i: int) -> float:
+    """Return how far region i listens for now."""
+    reach: float = state[REACH, i] + grown_px(state, i)
+    return reach
+
+
+@kernel
+def carry(state: Floats, n: int, us: float) -> None:
+    """Predict all regions by so many microseconds."""
+    s = us / US_PER_S
+    for i in range(n):
+        state[X, i] = min(max(state[X, i] + state[VX, i] * s, -PLACE_LIMIT_PX), PLACE_LIMIT_PX)
+        state[Y, i] = min(max(state[Y, i] + state[VY, i] * s, -PLACE_LIMIT_PX), PLACE_LIMIT_PX)
+        q = min(state[Q, i], Q_SHARED) if state[SHARED, i] else state[Q, i]
+        xx = state[P_XX, i] + s * (2.0 * state[P_XV, i] + s * state[P_VV, i]) + q * s * s * s / 3.0
+        xv = state[P_XV, i] + s * state[P_VV, i] + q * s * s / 2.0
+        state[P_XX, i] = min(max(xx, 0.0), P_XX_LIMIT)
+        state[P_VV, i] = min(max(state[P_VV, i] + q * s, 0.0), P_VV_LIMIT)
+        # What limits and rounding leave must be a covariance.
+        most = math.sqrt(state[P_XX, i] * state[P_VV, i])
+        state[P_XV, i] = min(max(xv, -most), most)
