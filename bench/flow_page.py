@@ -15,7 +15,6 @@ RESULTS = Path(__file__).parent / "results"
 DOCS = Path(__file__).parents[1] / "docs"
 NAMES = {
     "network": "network (default)",
-    "network_before": "network, before",
     "network_population": "network, population",
     "plane": "plane (Benosman)",
     "orchard": "Orchard",
@@ -52,7 +51,8 @@ def accuracy(result: dict[str, Any]) -> list[str]:
         n = {speed: max(row["n"] for row in rows if row["speed_px_s"] == speed) for speed in speeds}
         own = " (the preset's own)" if noise == 0 and " " in kind else ""
         lines += [f"### {kind}, {noise / 1e6:g} Mev/s of noise{own}", ""]
-        lines.append("| error %, angle deg | " + " | ".join(f"{s:g} px/s, n={n[s]}" for s in speeds) + " | core |")
+        asked = " | ".join(f"{s:g} px/s, n={n[s]}" for s in speeds)
+        lines.append(f"| error %, angle deg, answered % | {asked} | core |")
         lines.append("|---" * (len(speeds) + 2) + "|")
         for method, name in NAMES.items():
             mine = {row["speed_px_s"]: row for row in rows if row["method"] == method}
@@ -69,7 +69,7 @@ def _cell(row: dict[str, Any] | None) -> str:
     if row is None:
         return ""
     angle = row["angle_median_deg"]
-    return median(row) + (", -" if angle is None else f", {angle:.0f}")
+    return f"{median(row)}, {'-' if angle is None else f'{angle:.0f}'}, {100 * row['answered']:.0f}"
 
 
 def costs(cost: dict[str, Any]) -> list[str]:
@@ -126,13 +126,12 @@ def page(flow: dict[str, Any], training: dict[str, Any] | None) -> str:
         " [flow](../services/heliograph_services/tracker/flow/README.md)."
     )
     words = (
-        f"Evidence: {result['evidence']}. Seeds {result['seeds']} and {result['seeds_simulated']}; the others' settings"
-        f" tuned on seeds {result['tuning_seeds']}: {json.dumps(result['tuned'])}. Cells: median endpoint error in % of"
-        " the speed (95 % interval: bootstrap over place x 1 s; no answer counts 100 %), median angle error of the"
-        " answers. Noise is of the whole sensor, of which the scenes are a cut-out of 160 x 120; core: mean share of"
-        " one core over the row's scenes, feeding and asking. The centroid is told where the discs are. Of the others"
-        " only the plane was tuned for these scenes; Orchard and centroid keep what was chosen on the same seeds for an"
-        " earlier set of the network's scales, and with it Orchard's form is that of the population read-out."
+        f"Evidence: {result['evidence']}. Seeds {result['seeds']}; the others' settings tuned on seeds"
+        f" {result['tuning_seeds']}: {json.dumps(result['tuned'])}. Cells: median endpoint error in % of the speed"
+        " (95 % interval: bootstrap over seed x place x 1 s; no answer counts 100 %), median angle error of the"
+        " answers, share of the places asked that got one. Noise is of the whole sensor, of which the scenes are a"
+        " cut-out of 160 x 120; core: mean share of one core over the row's scenes, feeding and asking. The centroid"
+        " is told where the discs are."
     )
     lines = [
         "# Flow: how well, at what cost",
@@ -165,13 +164,16 @@ def plot(result: dict[str, Any], path: Path) -> None:
 
     kinds = list(dict.fromkeys(row["kind"] for row in result["rows"]))
     noises = sorted({row["noise_hz"] for row in result["rows"]})
-    figure, axes = plt.subplots(len(kinds), len(noises), figsize=(12, 2.8 * len(kinds)), sharex=True, sharey=True)
+    size = (4 * len(noises), 2.8 * len(kinds))
+    figure, axes = plt.subplots(len(kinds), len(noises), figsize=size, sharex=True, sharey=True)
+    shown: set[tuple[int, int]] = set()
     for (i, kind), (j, noise) in itertools.product(enumerate(kinds), enumerate(noises)):
         for method, name in NAMES.items():
             rows = [r for r in result["rows"] if (r["kind"], r["noise_hz"], r["method"]) == (kind, noise, method)]
             rows = [r for r in rows if r["epe_median"] is not None]
             if not rows:
                 continue
+            shown.add((i, j))
             # 0.3 % is the axis's foot.
             middle, low, high = (
                 [100 * max(0.003, value) for value in values]
@@ -187,6 +189,8 @@ def plot(result: dict[str, Any], path: Path) -> None:
         pixels = "simulated pixels" if " " in kind else "ideal pixels"
         axes[i, j].set_title(f"{kind}, {noise / 1e6:g} Mev/s of noise, {pixels}", fontsize=8)
         axes[i, j].grid(alpha=0.3)
+        # Not every noise was asked of the simulator.
+        axes[i, j].set_visible((i, j) in shown)
     axes[0, 0].legend(fontsize=6)
     figure.supxlabel("speed, px/s")
     figure.supylabel("median endpoint error, % of the speed")

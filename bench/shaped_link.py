@@ -15,16 +15,20 @@ import contextlib
 import socket
 import threading
 import time
-from collections import deque
+from queue import SimpleQueue
 from typing import Final
 
+from support.proxy import Proxy, hang_up
+
 PACKET_BYTES: Final = 1_400
+# Each with the time at which it comes out of the link; an empty one ends them.
+Chunks = SimpleQueue[tuple[float, bytes]]
 # A modem's queue; more would hide a link that is too slow behind a delay without end.
 QUEUE_S: Final = 0.5
 
 
-class ShapedLink:
-    """Forwards both ways.
+class ShapedLink(Proxy):
+    """A proxy whose link takes its time.
 
     Args:
         target_port: whom it dials for each link that it accepts.
@@ -32,88 +36,44 @@ class ShapedLink:
         delay_s: of each direction.
 
     Attributes:
-        bytes_passed: (to the target, back).
         worst_s: the longest that a chunk waited for the link to be free, each way.
     """
 
     def __init__(self, target_port: int, bit_rate: float, delay_s: float) -> None:
-        self._target = ("127.0.0.1", target_port)
         self._byte_s = 8.0 / bit_rate
         self._delay_s = delay_s
-        self._server = socket.create_server(("127.0.0.1", 0))
-        self.port: int = self._server.getsockname()[1]
-        self._sockets: list[socket.socket] = []
-        self.bytes_passed = [0, 0]
         self.worst_s = [0.0, 0.0]
-        threading.Thread(target=self._accept, daemon=True).start()
+        super().__init__(target_port)
 
-    def _accept(self) -> None:
-        while True:
-            try:
-                inner, _ = self._server.accept()
-            except OSError:
-                return
-            try:
-                outer = socket.create_connection(self._target, timeout=5)
-            except OSError:
-                inner.close()
-                continue
-            outer.settimeout(None)
-            self._sockets += [inner, outer]
-            for end in (inner, outer):
-                end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            for way, (source, sink) in enumerate(((inner, outer), (outer, inner))):
-                _Way(self, way, source, sink)
+    def _forward(self, way: int, source: socket.socket, sink: socket.socket, generation: int) -> None:
+        waiting: Chunks = SimpleQueue()
+        threading.Thread(target=self._read, args=(waiting, way, source, generation), daemon=True).start()
+        threading.Thread(target=_send, args=(waiting, source, sink), daemon=True).start()
 
-    def close(self) -> None:
-        """End everything."""
-        self._server.close()
-        for end in self._sockets:
-            with contextlib.suppress(OSError):
-                end.shutdown(socket.SHUT_RDWR)
-            end.close()
-
-
-class _Way:
-    """One direction: a thread reads and stamps, another sends when it is time."""
-
-    def __init__(self, link: ShapedLink, way: int, source: socket.socket, sink: socket.socket) -> None:
-        self._link, self._way, self._source, self._sink = link, way, source, sink
-        self._waiting: deque[tuple[float, bytes]] = deque()
-        self._changed = threading.Condition()
-        self._ended = False
-        for run in (self._read, self._send):
-            threading.Thread(target=run, daemon=True).start()
-
-    def _read(self) -> None:
-        link, free_s = self._link, 0.0
+    def _read(self, waiting: Chunks, way: int, source: socket.socket, generation: int) -> None:
+        """Stamp what comes with the time at which it leaves the link."""
+        free_s = 0.0
         with contextlib.suppress(OSError):
-            while chunk := self._source.recv(PACKET_BYTES):
+            while chunk := source.recv(PACKET_BYTES):
+                if not self.passes(way, len(chunk), generation):
+                    continue
                 now = time.monotonic()
                 wait_s = max(0.0, free_s - now)
-                link.worst_s[self._way] = max(link.worst_s[self._way], wait_s)
-                free_s = now + wait_s + len(chunk) * link._byte_s  # noqa: SLF001 - one module
-                link.bytes_passed[self._way] += len(chunk)
-                with self._changed:
-                    self._waiting.append((free_s + link._delay_s, chunk))  # noqa: SLF001
-                    self._changed.notify()
+                self.worst_s[way] = max(self.worst_s[way], wait_s)
+                free_s = now + wait_s + len(chunk) * self._byte_s
+                waiting.put((free_s + self._delay_s, chunk))
                 if free_s - now > QUEUE_S:
                     time.sleep(free_s - now - QUEUE_S)
-        with self._changed:
-            self._ended = True
-            self._changed.notify()
+        waiting.put((0.0, b""))
 
-    def _send(self) -> None:
-        with contextlib.suppress(OSError):
-            while True:
-                with self._changed:
-                    while not self._waiting and not self._ended:
-                        self._changed.wait()
-                    if not self._waiting:
-                        break
-                    out_s, chunk = self._waiting.popleft()
-                time.sleep(max(0.0, out_s - time.monotonic()))
-                self._sink.sendall(chunk)
-        for end in (self._source, self._sink):
-            with contextlib.suppress(OSError):
-                end.shutdown(socket.SHUT_RDWR)
+
+def _send(waiting: Chunks, source: socket.socket, sink: socket.socket) -> None:
+    """Send each chunk when its time has come."""
+    with contextlib.suppress(OSError):
+        while True:
+            out_s, chunk = waiting.get()
+            if not chunk:
+                break
+            time.sleep(max(0.0, out_s - time.monotonic()))
+            sink.sendall(chunk)
+    hang_up(source, sink)

@@ -187,7 +187,7 @@ def run(arm: str, folder: Path, file: Path, seconds: float, settings: dict[str, 
             for name, n in health.counters.items()
             if n and name.startswith(("dropped", "missing", "pace"))
         }
-        passed = None if link is None else [round(8 * b / seconds / 1e6, 3) for b in link.bytes_passed]
+        passed = None if link is None else [round(8 * b / seconds / 1e6, 3) for b in link.passed]
         waited = None if link is None else [round(1e3 * s, 1) for s in link.worst_s]
     finally:
         for host in hosts:

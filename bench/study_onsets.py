@@ -8,11 +8,13 @@ at least .35 Mev/s of noise and as much of moving texture. Evidence: simulated.
     rates   events/s by origin: each simulated alone, and all together
     bytes   entries and bytes of columns, by origin, gate open and active, without and with the limit of the rate
     link    the onsets of one run at real time over a TCP link of Zenoh, shared memory off, bytes counted by a proxy
-            both ways: the worst second, for messages of 5, 10 and 20 ms
+            both ways: the worst second, for messages of 5, 10 and 20 ms; limited
     cost    processor time of gating beside the open gate, in the same run: noise of 1 and 5 Mev/s and the scenes
-    mar     MAR_sent (visible, K = 1) with the gate open and active, on the same events: paired difference per block of
-            beacon x second x run. The beacons' payloads are fixed, since a site of four bit rates attributes a frame
-            only once an identity is accepted; both arms have the same decoder.
+    mar     MAR_sent (visible, K = 1) with the gate open, and active and limited, on the same events: paired difference
+            per block of beacon x second x run. The beacons' payloads are fixed, since a site of four bit rates
+            attributes a frame only once an identity is accepted; both arms have the same decoder.
+
+The limit of the rate is that of deploy/sites/onboard.toml.
 
 Results are added to bench/results/onsets.json, part by part.
 """
@@ -44,7 +46,7 @@ from heliograph.onsets import warm as warm_onsets
 from heliograph.shell.bus import connected
 from heliograph.shell.links import client_config
 from heliograph.shell.process import Stop
-from heliograph.shell.site import BusLinks
+from heliograph.shell.site import BusLinks, load_site
 from heliograph.streams import Onsets
 from heliograph_services.cli.pipeline import ONE_PROCESS, Pipeline
 from heliograph_services.cli.studies.blocks import difference, share
@@ -65,6 +67,11 @@ SCENES: Final = ("onsets_dvxplorer_mini", "onsets_imx636")
 PARTS: Final = ("rates", "bytes", "link", "cost", "mar")
 WINDOW_US: Final = 10_000
 SAMPLE_S: Final = 0.02
+# What the site with a radio gives them.
+ONBOARD: Final = Path(__file__).parents[1] / "deploy" / "sites" / "onboard.toml"
+BUDGET: Final = {
+    "onsets_bit_rate_max": load_site(ONBOARD).entry("event_source", "event_source").settings["onsets_bit_rate_max"]
+}
 
 
 def scene(name: str) -> str:
@@ -129,9 +136,9 @@ def sizes_of(name: str, seed: int, seconds: float) -> dict[str, Any]:
     """Return entries and bytes by origin and gate."""
     arms: dict[str, dict[str, Any]] = {
         "open": {"gate": "open"},
-        "two events": {"onsets_noise_hz": 0.0, "onsets_bit_rate_max": 0.0},
-        "active": {"onsets_bit_rate_max": 0.0},
-        "limited": {},
+        "two events": {"onsets_noise_hz": 0.0},
+        "active": {},
+        "limited": BUDGET,
     }
     rows: dict[str, Any] = {}
     for origin, text in origins(scene(name)).items():
@@ -160,7 +167,7 @@ def link(name: str, seed: int, seconds: float) -> dict[str, Any]:
     made: dict[int, list[Onsets]] = {5_000: [], 10_000: [], 20_000: []}
     for info, window in windows(scene(name), seed, seconds):
         for message_us, messages in made.items():
-            core = cores.setdefault(message_us, source(info, onsets_us=message_us))
+            core = cores.setdefault(message_us, source(info, onsets_us=message_us, **BUDGET))
             messages += [m for m in core.feed(window) if isinstance(m, Onsets)]
     for message_us, messages in made.items():
         columns = [len(m.zipped[1]) if m.zipped else 0 for m in messages]
@@ -274,7 +281,7 @@ def cost(name: str, seed: int, runs: int = 5) -> dict[str, Any]:
 
 def whole_source(info: CameraInfo, parts: list[EventBatch]) -> float:
     """Return the processor time of all that a source does for onsets: gate, limit, zlib."""
-    core = source(info)
+    core = source(info, **BUDGET)
     start = time.thread_time()
     for i, part in enumerate(parts):
         core.feed(Window(i * WINDOW_US, (i + 1) * WINDOW_US, part, "bench"))
@@ -292,7 +299,7 @@ class Arm:
         from heliograph_services.tracker.core import make_core  # noqa: PLC0415
 
         self._file = folder / f"{gate}.sqlite"
-        self._source = source(info, gate=gate)
+        self._source = source(info, gate=gate, **(BUDGET if gate == "active" else {}))
         config = msgspec.convert(decoder, DecoderConfig, strict=False)
         self._pipeline = Pipeline(make_core(TrackerConfig(), ONE_PROCESS), DECODER.make(config, ONE_PROCESS))
         self._sink = MetricsSink(MetricsSinkConfig(file=str(self._file)), ONE_PROCESS)

@@ -27,8 +27,8 @@ other by about 90 us (504 bit/s) and 110 us (3125 bit/s), so a pixel there seems
 Assumed, therefore, and not from the numbers to be compared: 10 W/sr (a power LED of 3 W of light in a cone of 30
 degrees), 20 mm, lens 16 mm f/1.4 in focus, ground of reflectance .25 in 500 W/m2, camera still, 7 x 7 pixels about the
 image, presets davis346 and imx636 as they are; and both with a refractory time of 80 us, the one number that the
-recordings' bursts suggest. `predictions` below works out what the laws of `simulation.pixel` make of that (formulas
-alone, no simulation).
+recordings' bursts suggest. `transition_laws` works out what the laws of `simulation.pixel` make of that (formulas alone,
+no simulation).
 
 PREDICTED: (1) both presets make far fewer events than the recordings, davis346 because its image is small (sigma .7 px
 of 18.5 um: a third of the 49 pixels gets light), and both because their refractory time swallows crossings of a
@@ -65,7 +65,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtr
+from transition_laws import CROP_PX, DIAMETER_M, INTENSITY_W_SR, IRRADIANCE_W_M2, LENS, REFLECTANCE, predictions
 
 from heliograph.events import Flags, Times
 from heliograph.link.contract import LinkFrame
@@ -74,12 +74,8 @@ from heliograph.link.uart_layout import CHARACTER_BITS, character_bits
 from heliograph.units import bit_us
 from heliograph_services.event_source.cameras.formats.contract import Size
 from heliograph_services.event_source.cameras.formats.matlab import MatlabReader
-from heliograph_services.event_source.simulation.contract import PixelNumbers
-from heliograph_services.event_source.simulation.readout.presets import load_preset
 from heliograph_services.event_source.simulation.stream import SceneStream
 from heliograph_services.event_source.simulation.world.load import parse_scenario
-from heliograph_services.event_source.simulation.world.optics import Optics
-from heliograph_services.event_source.simulation.world.spec import Lens
 
 Floats = npt.NDArray[np.float64]
 
@@ -90,13 +86,7 @@ PUBLISHED_BEFORE = {504.0: "379/340, 285 us", 3125.0: "236/147, 72 us"}
 SECONDS_S = {504.0: 6.0, 3125.0: 2.0}
 SENSORS = ("davis346", "imx636")
 REFRACTORY_SEEN_US = 80.0
-CROP_PX = 7
 WHOLE_BITS = 3  # transitions of so many bits and more show the whole response
-INTENSITY_W_SR = 10.0
-IRRADIANCE_W_M2 = 500.0
-REFLECTANCE = 0.25
-DIAMETER_M = 0.02
-LENS = Lens(focal_mm=16.0, f_number=1.4)
 # Any English text does: the receiver wants news, the contexts of the bits should be mixed.
 TEXT = "A beacon says who it is by blinking, and whoever looks may read it. Light needs no leave; it goes on its way."
 SCENARIO = """
@@ -271,47 +261,6 @@ def _by_transition(found: Delays, which: npt.NDArray[np.int64], until_us: float)
     ends = np.searchsorted(found.index, which, side="right")
     cut = [found.delay_us[a:b] for a, b in zip(begins, ends, strict=True)]
     return [kept for d in cut if len(kept := d[d < until_us]) >= 2]
-
-
-# ---- what the laws say, without a simulation ---------------------------------------------------------------------
-
-
-def crossings_us(size: float, threshold: float, tau_us: float, refractory_us: float) -> list[float]:
-    """Return when a pixel fires after a step v(x) = D (1 - exp(-x / tau)); its reference follows v while it is dead."""
-    times, gone = [], 0.0
-    while size * math.exp(-gone / tau_us) > threshold:
-        times.append(-tau_us * math.log(math.exp(-gone / tau_us) - threshold / size))
-        gone = times[-1] + refractory_us
-    return times
-
-
-def predictions(sensor_name: str, distance_m: float, override: dict[str, float]) -> dict[str, Any]:
-    """Return events and their spread over 7 x 7 pixels, each step from rest; without mismatch, noise or bus."""
-    sensor = load_preset(sensor_name, "", dict(override))
-    law: PixelNumbers = sensor.pixel
-    optics = Optics(LENS, sensor.pitch_um)
-    where = np.array([distance_m])
-    flux = float(optics.flux_w_m2(np.array([INTENSITY_W_SR]), where, where)[0])
-    sigma = float(optics.sigma_px(np.array([DIAMETER_M]), where)[0])
-    dark = optics.background_w_m2(REFLECTANCE, IRRADIANCE_W_M2) + law.dark_w_m2
-    along = []
-    for n in (sensor.width, sensor.height):
-        offset = np.arange(CROP_PX) + round((n - 1) / 2) - CROP_PX // 2 - (n - 1) / 2
-        along.append(ndtr((offset + 0.5) / sigma) - ndtr((offset - 0.5) / sigma))
-    out: dict[str, Any] = {"flux_w_m2": round(flux, 1), "background_w_m2": round(dark, 2), "sigma_px": round(sigma, 3)}
-    for name, threshold in (("on", law.threshold_on), ("off", law.threshold_off)):
-        times: list[float] = []
-        for share in np.outer(*along).ravel():
-            bright = dark + flux * share
-            tau_us = max(law.tau_min_us, law.tau_ref_us * law.irradiance_ref_w_m2 / (bright if name == "on" else dark))
-            times += crossings_us(math.log(bright / dark), threshold, tau_us, law.refractory_us)
-        spread = math.hypot(float(np.std(times)), law.jitter_us)
-        out[name] = {
-            "events": len(times),
-            "sd_us": round(spread, 1),
-            "width_10_90_us": round(max(float(np.ptp(np.percentile(times, (10, 90)))), 2.56 * law.jitter_us), 1),
-        }
-    return out
 
 
 def rows_of() -> list[tuple[str, str, float, dict[str, float]]]:

@@ -9,38 +9,18 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from heliograph.core import Context
 from heliograph.events import EventBatch
-from heliograph.messages import Frames, Identification, Message, Status, Tracks
-from heliograph.site import Beacon
-from heliograph_services.decoder.config import DecoderConfig
+from heliograph.messages import Frames, Message, Status, Tracks
 from heliograph_services.decoder.core import DecoderCore
-from support.blinkers import FRAME_US, Disc, messages, pulse_only, scene, still, straight, tracks
+from support.blinkers import FRAME_US, Disc, scene, still, straight, tracks
+from support.decoding import core, states
+from support.decoding import run as decoded
 
-LIVE = Context(instance="decoder", boot="b0", lockstep=False)
-CRANE = Beacon(name="crane", protocol="pulse", payload=5, bit_rate=100)
-LIFT = Beacon(name="lift", protocol="pulse", payload=2, bit_rate=100)
 WIDTH, HEIGHT = 320, 240
 
 
-def core(**settings: object) -> DecoderCore:
-    config = DecoderConfig(beacons=(CRANE, LIFT), **settings)  # type: ignore[arg-type]
-    return DecoderCore(config, LIVE, modulation_of=pulse_only)
-
-
 def run(decoder: DecoderCore, batch: EventBatch, told: Iterable[tuple[int, Tracks]], end_us: int) -> list[Message]:
-    """Feed 2 ms of events at a time; each Tracks message as soon as the events have reached its time."""
-    waiting = sorted(told, key=lambda one: one[0])
-    out: list[Message] = []
-    for message in messages(batch, 0, end_us, range(0, end_us, 2_000), WIDTH, HEIGHT, end=False):
-        while waiting and waiting[0][0] <= message.time_us - 2_000:
-            out += decoder.feed(waiting.pop(0)[1])
-        out += decoder.feed(message)
-    return out
-
-
-def states(out: Iterable[Message]) -> list[Identification]:
-    return [one for one in out if isinstance(one, Identification)]
+    return decoded(decoder, batch, told, end_us, (WIDTH, HEIGHT))
 
 
 def changes(out: Iterable[Message]) -> list[tuple[str, str]]:

@@ -18,6 +18,7 @@ from heliograph.messages import Health, Message, Progress
 from heliograph.shell.links import client_config
 from heliograph.shell.site import BusLinks
 from heliograph.wire import SCHEMAS
+from support.fed import site_text
 from support.mutate import mutations
 from support.processes import Collector, Host, collecting, free_port
 from support.records import every_record
@@ -37,20 +38,8 @@ N = int(os.environ.get("HELIOGRAPH_DAMAGED_MESSAGES", "10000"))
 
 
 def site(port: int, folder: Path) -> str:
-    return f"""
-site = "noise"
-[bus]
-connect = ["tcp/127.0.0.1:{port}"]
-[router]
-listen = ["tcp/127.0.0.1:{port}"]
-[[service]]
-kind = "tracker"
-[[service]]
-kind = "decoder"
-[[service]]
-kind = "metrics_sink"
-file = "{folder}/metrics.sqlite"
-"""
+    kinds = "".join(f'[[service]]\nkind = "{kind}"\n' for kind in SUBSCRIBED)
+    return site_text("noise", port, f'{kinds}file = "{folder}/metrics.sqlite"')
 
 
 def samples() -> dict[str, Message]:

@@ -8,21 +8,25 @@ from pathlib import Path
 import pytest
 
 from heliograph.messages import Health, Identification, Tracks
-from heliograph.shell.bus import connected
-from heliograph.shell.links import client_config
-from heliograph.shell.process import Stop
-from heliograph.shell.site import BusLinks
 from heliograph_services.cli.pipeline import ONE_PROCESS, Pipeline
 from heliograph_services.decoder.config import DecoderConfig
 from heliograph_services.decoder.core import make_core as make_decoder
 from heliograph_services.tracker.config import TrackerConfig
 from heliograph_services.tracker.core import make_core as make_tracker
+from support.fed import fed
 from support.feeder import Feeder
 from support.noise import noise
-from support.processes import Collector, Host, collecting, free_port
+from support.processes import Collector
 
 # Below it no window is skipped as a flood: most births under way.
 DENSE_HZ, WORST_HZ = 3e6, 1e7
+SERVICES = """
+[[service]]
+kind = "tracker"
+[[service]]
+kind = "decoder"
+bit_rate = 2000
+"""
 
 
 @pytest.mark.parametrize(("events_hz", "camera_s"), [(DENSE_HZ, 1.0), (WORST_HZ, 1.0)])
@@ -44,39 +48,17 @@ def test_no_track_of_noise_becomes_valid(events_hz: float, camera_s: float) -> N
 
 @pytest.mark.processes
 def test_processes_live_through_ten_million_events_a_second_and_count_what_they_leave_out(tmp_path: Path) -> None:
-    port = free_port()
-    site = f"""
-site = "noise"
-[bus]
-connect = ["tcp/127.0.0.1:{port}"]
-[router]
-listen = ["tcp/127.0.0.1:{port}"]
-[[service]]
-kind = "tracker"
-[[service]]
-kind = "decoder"
-bit_rate = 2000
-"""
-    host = Host(tmp_path, "noise", site, ["tracker", "decoder"])
-    links = BusLinks(connect=(f"tcp/127.0.0.1:{port}",), shared_memory=False)
-    try:
-        with (
-            collecting(port, "noise", ["ids", "tracks", "health"]) as heard,
-            connected(client_config(links), "noise", "event_source/feeder", Stop()) as bus,
-        ):
-            assert bus is not None
-            heard.until(lambda h: all(reports(h, one) for one in ("tracker", "decoder")), "tracker and decoder")
-            Feeder(bus, noise(WORST_HZ, seed=6)).play(1.0)
-            for service, schema in (("tracker", "onsets"), ("decoder", "events")):
-                sent = bus.published[schema]
-                heard.until(lambda h, s=service, m=schema, n=sent: idle(h, s) and accounted(h, s, m) == n, service)  # type: ignore[misc]
+    kinds = ["tracker", "decoder"]
+    with fed(tmp_path, "noise", SERVICES, kinds, ["ids", "tracks", "health"]) as (host, heard, bus):
+        heard.until(lambda h: all(reports(h, one) for one in kinds), "tracker and decoder")
+        Feeder(bus, noise(WORST_HZ, seed=6)).play(1.0)
+        for service, schema in (("tracker", "onsets"), ("decoder", "events")):
+            sent = bus.published[schema]
+            heard.until(lambda h, s=service, m=schema, n=sent: idle(h, s) and accounted(h, s, m) == n, service)  # type: ignore[misc]
         assert heard.messages["ids"] == []
         words = {word for m in heard.messages["tracks"] if isinstance(m, Tracks) for word in m.status}
         assert words <= {"new", "invalid"}
         assert sorted(host.alive()) == ["decoder", "router", "tracker"]
-    finally:
-        statuses = host.close()
-    assert statuses == dict.fromkeys(statuses, 0)
 
 
 def reports(heard: Collector, service: str) -> list[Health]:

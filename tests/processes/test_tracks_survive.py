@@ -9,13 +9,10 @@ from typing import NamedTuple
 import pytest
 
 from heliograph.messages import Health, Identification
-from heliograph.shell.bus import connected
-from heliograph.shell.links import client_config
-from heliograph.shell.process import Stop
-from heliograph.shell.site import BusLinks
 from heliograph_services.event_source.config import EventSourceConfig
+from support.fed import fed
 from support.feeder import Feeder, five
-from support.processes import Collector, Host, collecting, free_port
+from support.processes import Collector, Host
 from support.scene import listed_beacons
 
 pytestmark = pytest.mark.processes
@@ -25,6 +22,15 @@ TEXT, NAMES = listed_beacons(SITES / "laptop.toml")
 # Text needs ten characters and a rest before them; four beacons with IDs are enough, and quicker.
 WITH_ID = NAMES - {"gate"}
 JUMP_US = 100_000_000
+
+
+SERVICES = f"""
+[[service]]
+kind = "tracker"
+[[service]]
+kind = "decoder"
+{TEXT}
+"""
 
 
 class Run(NamedTuple):
@@ -37,31 +43,10 @@ class Run(NamedTuple):
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
-    port = free_port()
-    site = f"""
-site = "survival"
-[bus]
-connect = ["tcp/127.0.0.1:{port}"]
-[router]
-listen = ["tcp/127.0.0.1:{port}"]
-[[service]]
-kind = "tracker"
-[[service]]
-kind = "decoder"
-{TEXT}
-"""
-    host = Host(tmp_path_factory.mktemp("survival"), "survival", site, ["tracker", "decoder"])
-    links = BusLinks(connect=(f"tcp/127.0.0.1:{port}",), shared_memory=False)
-    try:
-        with (
-            collecting(port, "survival", ["ids", "health"]) as heard,
-            connected(client_config(links), "survival", "event_source/feeder", Stop()) as bus,
-        ):
-            assert bus is not None
-            heard.until(lambda h: {"tracker", "decoder"} <= services(h), "tracker and decoder")
-            yield Run(host, heard, Feeder(bus, five()))
-    finally:
-        host.close()
+    kinds = ["tracker", "decoder"]
+    with fed(tmp_path_factory.mktemp("survival"), "survival", SERVICES, kinds, ["ids", "health"]) as (host, heard, bus):
+        heard.until(lambda h: set(kinds) <= services(h), "tracker and decoder")
+        yield Run(host, heard, Feeder(bus, five()))
 
 
 def services(heard: Collector) -> set[str]:

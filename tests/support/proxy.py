@@ -15,6 +15,12 @@ class Proxy:
 
     While the link is cut nothing passes and nothing is told to either side, as when a radio fades; when it is
     restored, what hung on the old link is reset, and new links pass.
+
+    Args:
+        target_port: whom it dials for each link that it accepts.
+
+    Attributes:
+        passed: bytes, to the target and back.
     """
 
     def __init__(self, target_port: int) -> None:
@@ -25,7 +31,7 @@ class Proxy:
         self._sockets: list[socket.socket] = []
         self._up = True
         self._generation = 0
-        self.bytes_passed = 0
+        self.passed = [0, 0]
         threading.Thread(target=self._accept, daemon=True).start()
 
     def _accept(self) -> None:
@@ -43,20 +49,34 @@ class Proxy:
             with self._lock:
                 self._sockets += [inner, outer]
                 generation = self._generation
-            for source, sink in ((inner, outer), (outer, inner)):
-                threading.Thread(target=self._pump, args=(source, sink, generation), daemon=True).start()
+            for end in (inner, outer):
+                end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            for way, (source, sink) in enumerate(((inner, outer), (outer, inner))):
+                self._forward(way, source, sink, generation)
 
-    def _pump(self, source: socket.socket, sink: socket.socket, generation: int) -> None:
+    def _forward(self, way: int, source: socket.socket, sink: socket.socket, generation: int) -> None:
+        """Begin to forward one direction of a link: 0 to the target, 1 back."""
+        threading.Thread(target=self._pump, args=(way, source, sink, generation), daemon=True).start()
+
+    def _pump(self, way: int, source: socket.socket, sink: socket.socket, generation: int) -> None:
         with contextlib.suppress(OSError):
             while chunk := source.recv(_CHUNK):
-                with self._lock:
-                    passes = self._up and generation == self._generation
-                    self.bytes_passed += len(chunk) if passes else 0
-                if passes:
+                if self.passes(way, len(chunk), generation):
                     sink.sendall(chunk)
-        for end in (source, sink):
-            with contextlib.suppress(OSError):
-                end.shutdown(socket.SHUT_RDWR)
+        hang_up(source, sink)
+
+    def passes(self, way: int, size: int, generation: int) -> bool:
+        """Return whether so many bytes of a link of that generation get through, and count them."""
+        with self._lock:
+            passes = self._up and generation == self._generation
+            self.passed[way] += size if passes else 0
+        return passes
+
+    @property
+    def bytes_passed(self) -> int:
+        """Bytes of both directions."""
+        with self._lock:
+            return sum(self.passed)
 
     def cut(self) -> None:
         """Let nothing pass any more."""
@@ -73,12 +93,18 @@ class Proxy:
     def _drop(self) -> None:
         with self._lock:
             old, self._sockets = self._sockets, []
+        hang_up(*old)
         for end in old:
-            with contextlib.suppress(OSError):
-                end.shutdown(socket.SHUT_RDWR)
             end.close()
 
     def close(self) -> None:
         """End everything."""
         self._server.close()
         self._drop()
+
+
+def hang_up(*ends: socket.socket) -> None:
+    """Tell both sides that nothing more will come."""
+    for end in ends:
+        with contextlib.suppress(OSError):
+            end.shutdown(socket.SHUT_RDWR)
