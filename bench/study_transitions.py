@@ -27,8 +27,8 @@ other by about 90 us (504 bit/s) and 110 us (3125 bit/s), so a pixel there seems
 Assumed, therefore, and not from the numbers to be compared: 10 W/sr (a power LED of 3 W of light in a cone of 30
 degrees), 20 mm, lens 16 mm f/1.4 in focus, ground of reflectance .25 in 500 W/m2, camera still, 7 x 7 pixels about the
 image, presets davis346 and imx636 as they are; and both with a refractory time of 80 us, the one number that the
-recordings' bursts suggest. `transition_laws` works out what the laws of `simulation.pixel` make of that (formulas alone,
-no simulation).
+recordings' bursts suggest. `transition_laws` works out what the laws of `simulation.pixel` make of that (formulas
+alone, no simulation).
 
 PREDICTED: (1) both presets make far fewer events than the recordings, davis346 because its image is small (sigma .7 px
 of 18.5 um: a third of the 49 pixels gets light), and both because their refractory time swallows crossings of a
