@@ -16,3 +16,11 @@ _F = TypeVar("_F", bound=Callable[..., object])
 def kernel(function: _F) -> _F:
     """Return the function, compiled at its first call and cached beside its file."""
     return cast("_F", numba.njit(cache=True, nogil=True)(function))
+
+
+def inlined(function: _F) -> _F:
+    """Return the function for use within kernels of the same file, written out where it is called.
+
+    Calls hide a loop's body from the compiler, which then does not vectorise it.
+    """
+    return cast("_F", numba.njit(nogil=True, inline="always")(function))
