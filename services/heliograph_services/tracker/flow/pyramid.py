@@ -363,3 +363,4 @@ def warm() -> None:
                 )
             )  # fmt: skip
         flow.at(30.0, 30.0, 20.0)
+        flow.surroundings()

@@ -16,10 +16,12 @@ they are the minority.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+
+from heliograph_services.tracker.jit import kernel
 
 Floats = npt.NDArray[np.float64]
 
@@ -106,25 +108,17 @@ def fit_motion(
     # Places in units of their spread: the four parameters are then alike.
     dx, dy = x_px - centre_x_px, y_px - centre_y_px
     spread = max(1.0, float(np.sqrt(np.mean(dx**2 + dy**2))))
-    along = _rows(ux, uy, dx / spread, dy / spread)
-    across = _rows(-uy, ux, dx / spread, dy / spread)
+    dx, dy = dx / spread, dy / spread
+    # The motion seen at each sample is a row times (a, b, omega, z); so is that across its front, with (-uy, ux).
+    rows = np.stack([ux, uy, uy * dx - ux * dy, ux * dx + uy * dy])
     least = SCALE_LEAST * float(np.median(speed))
     share = weight / weight.sum()
-    robust = np.ones(n)
-    p, residual = np.zeros(4), np.zeros(n)
+    p = np.zeros(4)
     if start is not None:
-        p = np.array([start.vx_px_s, start.vy_px_s, start.omega_rad_s * spread, start.zoom_s * spread])
-        residual, robust = _weighed(along @ p - speed, share, least)
-    for _ in range(ROUNDS):
-        w = share * robust
-        normal = (along * w[:, None]).T @ along + ACROSS * (across * w[:, None]).T @ across
-        normal += np.diag([1e-9, 1e-9, TURN_PRIOR, TURN_PRIOR])
-        before, p = p, np.linalg.solve(normal, along.T @ (w * speed))
-        residual, robust = _weighed(along @ p - speed, share, least)
-        if not robust.any():
-            return None
-        if np.abs(p - before).max() < SETTLED * least:
-            break
+        p[:] = start.vx_px_s, start.vy_px_s, start.omega_rad_s * spread, start.zoom_s * spread
+    residual = np.empty(n)
+    if not _solve(rows, speed, share, least, start is not None, p, residual, np.empty((2, n))):
+        return None
     agrees = float(share @ (np.abs(residual) <= 2 * np.maximum(least, 0.1 * speed)))
     evidence = float(weight.sum())
     confidence = agrees * evidence / (evidence + EVIDENCE_HALF)
@@ -133,18 +127,135 @@ def fit_motion(
     )
 
 
-def _weighed(residual: Floats, share: Floats, least: float) -> tuple[Floats, Floats]:
-    """Return the residuals, and Tukey's weights at their own scale."""
-    scale = max(least, MAD * _weighted_median(np.abs(residual), share))
-    return residual, np.clip(1 - (residual / (TUKEY * scale)) ** 2, 0, None) ** 2
+@kernel
+def _solve(
+    rows: Any, speed: Floats, share: Floats, least: float, started: bool, p: Floats, residual: Floats, scratch: Any
+) -> bool:
+    """Refine p, (4,), in place by re-weighting until it settles; return False if no sample is left.
+
+    Args:
+        rows: (4, n), see `fit_motion`.
+        speed: (n,).
+        share: (n,) weights, of sum 1.
+        least: smallest scale of the residuals.
+        started: p is a motion to begin with; else all samples count alike at first.
+        p: see above.
+        residual: (n,), gets those of the last p.
+        scratch: (2, n).
+    """
+    n = len(speed)
+    robust = np.ones(n)
+    if started:
+        _weigh(rows, speed, share, least, p, residual, scratch, robust)
+    normal = np.empty((4, 4))
+    right = np.empty(4)
+    across = np.empty(4)
+    for _ in range(ROUNDS):
+        normal[:] = 0.0
+        right[:] = 0.0
+        for i in range(n):
+            w = share[i] * robust[i]
+            if w == 0.0:
+                continue
+            across[0] = -rows[1, i]
+            across[1] = rows[0, i]
+            across[2] = rows[3, i]
+            across[3] = -rows[2, i]
+            for j in range(4):
+                right[j] += w * rows[j, i] * speed[i]
+                for k in range(j + 1):
+                    normal[j, k] += w * (rows[j, i] * rows[k, i] + ACROSS * across[j] * across[k])
+        for j in range(4):
+            normal[j, j] += 1e-9 if j < 2 else TURN_PRIOR
+        moved = _cholesky(normal, right, p)
+        if not _weigh(rows, speed, share, least, p, residual, scratch, robust):
+            return False
+        if moved < SETTLED * least:
+            break
+    return True
 
 
-def _rows(ux: Floats, uy: Floats, dx: Floats, dy: Floats) -> Floats:
-    """Return (n, 4): the share of a, b, omega and z in the motion along (ux, uy) at (dx, dy)."""
-    return np.stack([ux, uy, uy * dx - ux * dy, ux * dx + uy * dy], axis=1)
+@kernel
+def _cholesky(a: Any, b: Floats, x: Floats) -> float:
+    """Solve a x = b, of which the lower triangle is given and lost; return the largest change of x."""
+    n = len(b)
+    for j in range(n):
+        for k in range(j):
+            a[j, j] -= a[j, k] * a[j, k]
+        a[j, j] = np.sqrt(a[j, j])
+        for i in range(j + 1, n):
+            for k in range(j):
+                a[i, j] -= a[i, k] * a[j, k]
+            a[i, j] /= a[j, j]
+        for k in range(j):
+            b[j] -= a[j, k] * b[k]
+        b[j] /= a[j, j]
+    moved = 0.0
+    for j in range(n - 1, -1, -1):
+        for k in range(j + 1, n):
+            b[j] -= a[k, j] * b[k]
+        b[j] /= a[j, j]
+        moved = max(moved, abs(b[j] - x[j]))
+        x[j] = b[j]
+    return moved
 
 
+@kernel
+def _weigh(
+    rows: Any, speed: Floats, share: Floats, least: float, p: Floats, residual: Floats, scratch: Any, robust: Floats
+) -> bool:
+    """Fill the residuals of p, and Tukey's weights at their own scale; return whether any is left."""
+    n = len(speed)
+    for i in range(n):
+        residual[i] = rows[0, i] * p[0] + rows[1, i] * p[1] + rows[2, i] * p[2] + rows[3, i] * p[3] - speed[i]
+        scratch[0, i] = abs(residual[i])
+        scratch[1, i] = share[i]
+    bound = TUKEY * max(least, MAD * _weighted_median(scratch[0], scratch[1]))
+    left = False
+    for i in range(n):
+        inside = max(0.0, 1.0 - (residual[i] / bound) ** 2)
+        robust[i] = inside * inside
+        left |= inside > 0.0
+    return left
+
+
+@kernel
 def _weighted_median(value: Floats, weight: Floats) -> float:
-    order = np.argsort(value, kind="stable")
-    total = np.cumsum(weight[order])
-    return float(value[order][np.searchsorted(total, total[-1] / 2)])
+    """Return the least value that, with all below it, has half of the weight; both arrays are lost (quickselect)."""
+    half = weight.sum() / 2
+    low = 0
+    high = len(value)
+    while high - low > 1:
+        a = value[low]
+        b = value[(low + high) // 2]
+        c = value[high - 1]
+        pivot = max(min(a, b), min(max(a, b), c))
+        below = 0.0
+        equal = 0.0
+        less = low
+        more = high
+        i = low
+        while i < more:
+            v = value[i]
+            w = weight[i]
+            if v < pivot:
+                value[i], weight[i] = value[less], weight[less]
+                value[less], weight[less] = v, w
+                below += w
+                less += 1
+                i += 1
+            elif v > pivot:
+                more -= 1
+                value[i], weight[i] = value[more], weight[more]
+                value[more], weight[more] = v, w
+            else:
+                equal += w
+                i += 1
+        if below >= half and less > low:
+            high = less
+        elif below + equal >= half or more == high:
+            return float(pivot)
+        else:
+            half -= below + equal
+            low = more
+    return float(value[low])
