@@ -8,8 +8,9 @@ a whole target counts, within the chi-squared gate and the gate in pixels::
 
 where the track is expected at the mean time t of the target's own events, from the middle of the window: x + t v.
 
-Cost, to be minimised over all pairs of a group, with as many pairs as possible: `l2` is d^2, `l1` is |dx| + |dy| in
-pixels, the paper's; to both is added what keeps a scrap of a target from beating the whole one.
+Cost, to be minimised over all pairs of a group, with as many pairs as possible: `l2` is d^2, with S at most R^2 / 4 + r
+for a track of the radius R; `l1` is |dx| + |dy| in pixels, the paper's; to both is added what keeps a scrap of a target
+from beating the whole one.
 
 The variance of a measured centre, for a target that shows the share c of its track's pixels, with the track's radius
 R, its speed v and the tick T (the events' time within it is not known)::
@@ -45,6 +46,9 @@ GROWTH: Final = 3.0
 GROWTH_PX: Final = 12.0
 # Two sigma: a scrap at the very centre costs as much as the whole disc two sigma off.
 SCRAP_COST: Final = 4.0
+# Of R^2: where a track is known worse than by half its radius R, near is still likelier than far. Fast tracks, believed
+# to turn at any moment, would else choose by the scraps.
+COST_VARIANCE: Final = 0.25
 # Dense assignment takes cubic time (1000 x 1000: 147 ms); a larger group than this is a flood, and goes cheapest
 # pair first.
 DENSE_LIMIT: Final = 200
@@ -129,7 +133,9 @@ def _pairs(
             if n < out.shape[1]:
                 out[0, n] = k
                 out[1, n] = j
-                out[2, n] = (abs(dx) + abs(dy) if l1 else d2) + SCRAP_COST * (1 - share)
+                most = COST_VARIANCE * radius_px[i] * radius_px[i]
+                near2 = dx * dx / min(sx, most + rx) + dy * dy / min(sy, most + ry)
+                out[2, n] = (abs(dx) + abs(dy) if l1 else near2) + SCRAP_COST * (1 - share)
             n += 1
     return n
 

@@ -7,6 +7,7 @@ part of it (the crescents of a moving LED), and only a target with the shape of 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -25,7 +26,7 @@ from heliograph_services.tracker.motion import Motion, Steering
 from heliograph_services.tracker.quarantine import Quarantine
 from heliograph_services.tracker.shape import ShapeFilter, Targets
 from heliograph_services.tracker.sighting import TURN_US, Rule, Sighting, see, shines
-from heliograph_services.tracker.splitting import carve, split
+from heliograph_services.tracker.splitting import PASS_S, Followed, carve, split
 from heliograph_services.tracker.tracks import INVALID, VALID, Numbers, Snapshot, TrackTable
 from heliograph_services.tracker.windows import Window
 
@@ -47,6 +48,21 @@ _REFUSED: Final = (
     (shape.TOO_MANY, Refusal.TOO_MANY_PIXELS),
     (shape.NOT_ROUND, Refusal.NOT_ROUND),
 )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """The k targets of a window, and who passes whom; see `splitting`.
+
+    Args:
+        targets: of the window.
+        held: (k,) bool: of tracks that pass each other, for nobody.
+        passing: (n,) bool, rows of the table that go on without a target.
+    """
+
+    targets: Targets
+    held: Flags
+    passing: Flags
 
 
 class Follower(Protocol):
@@ -140,18 +156,19 @@ class GridFollower:
         self.expire(window.start_us)
         # Targets have times of their own, from here.
         self._predict((window.start_us + window.end_us) // 2)
-        targets = self._targets(window)
-        if targets is None or len(targets) == 0:
+        found = self._targets(window)
+        if found is None or len(found.targets) == 0:
             return
+        targets = found.targets
         self._counters["targets"] += len(targets)
-        free = targets.verdict != shape.TOO_MANY
-        named, blinking = self.table.named, self._blinking()
+        free = (targets.verdict != shape.TOO_MANY) & ~found.held
+        named, blinking = self.table.named & ~found.passing, self._blinking()
         self._follow(np.flatnonzero(named), targets, free, window.end_us)
         self._find(np.flatnonzero(named & blinking), targets, free, window.end_us)
-        self._follow(np.flatnonzero(~named), targets, free, window.end_us)
+        self._follow(np.flatnonzero(~self.table.named), targets, free, window.end_us)
         births.confirm(self.table, self._config, self._numbers, self._counters)
         # Too large to be used, so not taken by a track.
-        left = free | (targets.verdict == shape.TOO_MANY)
+        left = (free | (targets.verdict == shape.TOO_MANY)) & ~found.held
         for verdict, reason in _REFUSED:
             refused = int(np.count_nonzero(left & (targets.verdict == verdict)))
             if refused:
@@ -247,7 +264,7 @@ class GridFollower:
             turning.turn(self.table, self.table.state, self._at_us, to_us)
         self._at_us = to_us
 
-    def _targets(self, window: Window) -> Targets | None:
+    def _targets(self, window: Window) -> Found | None:
         if window.flooded:
             self._counters["windows_flooded"] += 1
             return None
@@ -266,12 +283,16 @@ class GridFollower:
             self._counters["targets_carved"] += carved[1] - count
             labels, count = carved
             targets = self._measured(window, active, labels, np.zeros(count, np.bool_))
-        named = self.table.named
-        cut = split(active, labels, targets, self.table.state[named, :2], self.table.size_px[named], self._pool_px)
+        table, named = self.table, np.flatnonzero(self.table.named)
+        fresh = window.end_us - table.seen_us[named] <= PASS_S * US_PER_S
+        tracks = Followed(table.state[named], table.radius_px[named], table.size_px[named], fresh)
+        cut = split(active, labels, targets, tracks, self._pool_px)
+        passing = np.zeros(len(table), np.bool_)
         if cut is None:
-            return targets
+            return Found(targets, np.zeros(len(targets), np.bool_), passing)
         self._counters["targets_split"] += 1
-        return self._measured(window, active, *cut)
+        passing[named] = cut.passing
+        return Found(self._measured(window, active, cut.labels, cut.piece), cut.held, passing)
 
     def _measured(self, window: Window, active: Active, labels: Ints, piece: Flags) -> Targets:
         ticks = (window.end_us - window.start_us) // window.tick_us

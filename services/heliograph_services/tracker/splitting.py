@@ -3,7 +3,13 @@
 A cluster is cut if the predicted centres of several tracks lie within its reach and it is clearly larger than the
 largest of them; each pixel then goes to the nearest centre. Without the cut one track would be pulled into the middle
 and the other starve. The centre of a piece is biased away from the other beacon: it counts as little as one pixel of
-the disc (`association`), so that two that pass each other quickly coast through, and do not bounce.
+the disc (`association`).
+
+Two that pass each other quickly go on without any target until they have parted, as long as both were seen by
+themselves in the last `PASS_S`: the bias of pieces is much larger than what they do unforeseen in that time, and a fast
+track, which is believed to turn at any moment, follows it. Quick is a relative speed v, with their radii R::
+
+    v PASS_S > R_1 + R_2
 
 A beacon on a moving edge makes one cluster with it, long before and after it lies free. What blinks there is told from
 what is crossed (`shape.BOTH_SHARE`): the pixels that went both ways are clustered among themselves and cut out.
@@ -12,6 +18,7 @@ what is crossed (`shape.BOTH_SHARE`): the pixels that went both ways are cluster
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -22,11 +29,17 @@ from heliograph_services.tracker.jit import kernel
 from heliograph_services.tracker.shape import NOT_ROUND, TOO_MANY, Targets
 
 Floats = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
 
 # One beacon's swept disc is up to 1.4 times its size; two that touch are 2.
 MERGED: Final = 1.5
 # Where more of a cluster blinks, it is the light itself, and the rest is its rim.
 CARVED_SHARE: Final = 0.7
+# Going straight on for so long, or round its circle, a light is expected where it is within a pixel or two; 33,000
+# px/s2 that nobody foresaw make more of half of it.
+PASS_S: Final = 0.05
+# One beacon's swept disc again, unless its track was young: more than this is two, cut or not.
+LARGER: Final = 1.2
 
 
 def carve(
@@ -83,48 +96,95 @@ def _shared(x_px: Floats, y_px: Floats, reach_px: Floats, at_x_px: Floats, at_y_
     return out
 
 
-def split(
-    active: Active, labels: Ints, targets: Targets, centres_px: Floats, size_px: Floats, pool_px: int
-) -> tuple[Ints, npt.NDArray[np.bool_]] | None:
-    """Return new labels, and for each of them whether it is a piece, if a cluster had to be cut.
+@dataclass(frozen=True, slots=True, eq=False)
+class Followed:
+    """What is known of m tracks before their targets are.
+
+    Args:
+        state: (m, 4) float64, predicted, see `kalman`.
+        radius_px: (m,) float64.
+        size_px: (m,) float64, sensor pixels.
+        fresh: (m,) bool: seen on its own in the last `PASS_S`.
+    """
+
+    state: Floats
+    radius_px: Floats
+    size_px: Floats
+    fresh: Flags
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cut:
+    """Where tracks share clusters.
+
+    Args:
+        labels: (n,) int32, of the window's pixels.
+        piece: (k,) bool, for each label whether it is shared: cut out of a cluster, or a cluster not cut.
+        held: (k,) bool: of tracks that pass, and of no others.
+        passing: (m,) bool: the tracks that pass, and go on without a target.
+    """
+
+    labels: Ints
+    piece: Flags
+    held: Flags
+    passing: Flags
+
+
+def split(active: Active, labels: Ints, targets: Targets, tracks: Followed, pool_px: int) -> Cut | None:
+    """Cut the clusters that several tracks share; return None where none do.
 
     Args:
         active: the window's n pixels.
         labels: (n,) int32.
-        targets: of these labels, k of them.
-        centres_px: (m, 2) float64, predicted centres of the tracks, sensor pixels.
-        size_px: (m,) float64, their sizes, sensor pixels.
+        targets: of these labels.
+        tracks: m of them.
         pool_px: side of an onset pixel.
     """
-    count = len(targets)
-    pieces: list[int] = []
-    if count == 0 or len(centres_px) < 2:
+    if len(targets) == 0 or len(tracks.state) < 2:
         return None
+    centres_px = tracks.state[:, :2]
     places = (targets.x_px, targets.y_px, targets.reach_px, centres_px[:, 0], centres_px[:, 1])
     # One layout of arrays, one compilation.
     several = np.flatnonzero(_shared(*(np.ascontiguousarray(each) for each in places)))
-    out = labels
+    out, count = labels.copy(), len(targets)
+    pieces: list[int] = []
+    held: list[int] = []
+    passing = np.zeros(len(centres_px), np.bool_)
     for c in several:
         dx, dy = targets.x_px[c] - centres_px[:, 0], targets.y_px[c] - centres_px[:, 1]
-        tracks = np.flatnonzero(dx * dx + dy * dy <= targets.reach_px[c] ** 2)
-        if targets.pixels[c] * pool_px**2 < MERGED * size_px[tracks].max():
+        inside = np.flatnonzero(dx * dx + dy * dy <= targets.reach_px[c] ** 2)
+        by = _passing(tracks, inside)
+        passing[inside] |= by
+        if targets.pixels[c] * pool_px**2 < MERGED * tracks.size_px[inside].max():
+            if by.any() or targets.pixels[c] * pool_px**2 > LARGER * tracks.size_px[inside].max():
+                pieces.append(int(c))
+            if by.all():
+                held.append(int(c))
             continue
-        if out is labels:
-            out = labels.copy()
         pixels = np.flatnonzero(labels == c)
         middle = (pool_px - 1) / 2
-        away_x = active.x_px[pixels, None] * pool_px + middle - centres_px[None, tracks, 0]
-        away_y = active.y_px[pixels, None] * pool_px + middle - centres_px[None, tracks, 1]
+        away_x = active.x_px[pixels, None] * pool_px + middle - centres_px[None, inside, 0]
+        away_y = active.y_px[pixels, None] * pool_px + middle - centres_px[None, inside, 1]
         nearest = np.argmin(away_x**2 + away_y**2, axis=1)
         # Parts without a pixel get no label: labels stay dense.
-        parts = np.unique(nearest)
-        pieces.append(int(c))
-        for part in parts[1:]:
-            out[pixels[nearest == part]] = count
-            pieces.append(count)
-            count += 1
+        for i, part in enumerate(np.unique(nearest)):
+            label = int(c) if i == 0 else count
+            count += i > 0
+            out[pixels[nearest == part]] = label
+            pieces.append(label)
+            if by[part]:
+                held.append(label)
     if not pieces:
         return None
-    piece = np.zeros(count, np.bool_)
+    piece, mine = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
     piece[pieces] = True
-    return out, piece
+    mine[held] = True
+    return Cut(out, piece, mine, passing)
+
+
+def _passing(tracks: Followed, inside: npt.NDArray[np.int64]) -> Flags:
+    """Return (k,) bool: which of the k tracks in a cluster pass another one of them; see the module."""
+    v, radius = tracks.state[inside, 2:], tracks.radius_px[inside]
+    apart = np.hypot(v[:, None, 0] - v[None, :, 0], v[:, None, 1] - v[None, :, 1])
+    quick = apart * PASS_S > radius[:, None] + radius[None, :]
+    return np.asarray(quick.any(axis=1) & tracks.fresh[inside])
