@@ -74,21 +74,16 @@ class NetworkMotion:
 
     def velocities(self, x_px: Floats, y_px: Floats, radius_px: Floats, t_us: int) -> tuple[Floats, Floats]:
         """Return what the network sees at places; see `motion.Motion`."""
-        velocity, variance = np.zeros((len(x_px), 2)), np.full(len(x_px), np.inf)
-        for i in range(len(x_px)):
-            vx, vy, confidence = self._pyramid.at(float(x_px[i]), float(y_px[i]), float(radius_px[i]) + RIM_PX, t_us)
-            if confidence >= CONFIDENCE_LEAST:
-                velocity[i] = vx, vy
-                variance[i] = ERROR_PX_S**2 + ERROR_SHARE**2 * (vx**2 + vy**2)
-        return velocity, variance
+        seen = self._pyramid.at_places(x_px, y_px, radius_px + RIM_PX, t_us)
+        known = seen[:, 2] >= CONFIDENCE_LEAST
+        velocity = np.where(known[:, None], seen[:, :2], 0.0)
+        return velocity, np.where(known, ERROR_PX_S**2 + ERROR_SHARE**2 * (velocity**2).sum(axis=1), np.inf)
 
     def carried(self, x_px: Floats, y_px: Floats, t_us: int) -> tuple[Floats, Floats]:
         """Return the motion of the surroundings; see `motion.Motion`."""
         for at_us, fit in reversed(self._fits):
             if at_us <= t_us and t_us - at_us <= HELD_US:
-                places = zip(x_px.tolist(), y_px.tolist(), strict=True)
-                velocity = np.array([fit.at(x, y) for x, y in places]).reshape(-1, 2)
-                return velocity, np.full(len(x_px), fit.confidence)
+                return np.stack(fit.along(x_px, y_px), axis=1), np.full(len(x_px), fit.confidence)
         return np.zeros((len(x_px), 2)), np.zeros(len(x_px))
 
     def take(self) -> list[Message]:

@@ -29,6 +29,8 @@ LEAST_SHARE: Final = 0.15
 EXPLAINED: Final = 0.5
 # Evidence that makes a confidence of one half: two fronts of three pixels across a kernel, (15/25)^3 each.
 EVIDENCE_HALF: Final = 0.4
+# Samples that are passed over at once.
+BLOCK: Final = 32
 
 
 @kernel
@@ -83,21 +85,8 @@ def _explained(near: Any, ax: float, ay: float) -> float:
 
 
 @kernel
-def local_motion(x: Any, y: Any, vx: Any, vy: Any, weight: Any, px: float, py: float, radius: float) -> Any:
-    """Return (vx, vy, confidence) at (px, py) from the (n,) samples within the radius; zeros without any."""
-    n = 0
-    near = np.empty((len(x), 4), np.float64)
-    total = 0.0
-    for i in range(len(x)):
-        if (x[i] - px) ** 2 + (y[i] - py) ** 2 <= radius * radius:
-            speed = np.sqrt(vx[i] * vx[i] + vy[i] * vy[i])
-            near[n, 0] = vx[i] / speed
-            near[n, 1] = vy[i] / speed
-            near[n, 2] = speed
-            near[n, 3] = weight[i]
-            total += weight[i]
-            n += 1
-    near = near[:n]
+def _motion(near: Any, total: float) -> Any:
+    """Return (vx, vy, confidence) from the samples of a place, of so much weight; zeros without any."""
     ax = 0.0
     ay = 0.0
     bound = np.inf
@@ -107,3 +96,44 @@ def local_motion(x: Any, y: Any, vx: Any, vy: Any, weight: Any, px: float, py: f
             return 0.0, 0.0, 0.0
         bound = max(REACH_OF * _residual(near, ax, ay, bound), LEAST_SHARE * np.sqrt(ax * ax + ay * ay))
     return ax, ay, _explained(near, ax, ay) / (total + EVIDENCE_HALF)
+
+
+@kernel
+def local_motions(x: Any, y: Any, vx: Any, vy: Any, weight: Any, at_x: Any, at_y: Any, radius: Any, out: Any) -> None:
+    """Fill out (k, 3): vx, vy, confidence at k places from the (n,) samples within each radius; zeros without any."""
+    n = len(x)
+    # A tick's samples come row by row: most blocks of them lie above or below a place altogether.
+    blocks = -(-n // BLOCK)
+    top = np.empty(blocks)
+    bottom = np.empty(blocks)
+    for b in range(blocks):
+        top[b] = np.inf
+        bottom[b] = -np.inf
+        for i in range(b * BLOCK, min(n, (b + 1) * BLOCK)):
+            top[b] = min(top[b], y[i])
+            bottom[b] = max(bottom[b], y[i])
+    inside = np.empty(n, np.int64)
+    for place in range(len(at_x)):
+        px = at_x[place]
+        py = at_y[place]
+        reach = radius[place]
+        found = 0
+        for b in range(blocks):
+            # Half a pixel more: the circle itself is judged below.
+            if top[b] > py + reach + 0.5 or bottom[b] < py - reach - 0.5:
+                continue
+            for i in range(b * BLOCK, min(n, (b + 1) * BLOCK)):
+                if (x[i] - px) ** 2 + (y[i] - py) ** 2 <= reach * reach:
+                    inside[found] = i
+                    found += 1
+        near = np.empty((found, 4))
+        total = 0.0
+        for j in range(found):
+            i = inside[j]
+            speed = np.sqrt(vx[i] * vx[i] + vy[i] * vy[i])
+            near[j, 0] = vx[i] / speed
+            near[j, 1] = vy[i] / speed
+            near[j, 2] = speed
+            near[j, 3] = weight[i]
+            total += weight[i]
+        out[place, 0], out[place, 1], out[place, 2] = _motion(near, total)

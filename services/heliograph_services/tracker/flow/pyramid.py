@@ -11,7 +11,6 @@ speed within their own range; no truth is used, and none of it is tuned to a sce
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
@@ -21,9 +20,10 @@ import numpy.typing as npt
 
 from heliograph.streams import Onsets
 from heliograph.units import US_PER_S
+from heliograph_services.tracker.flow.holding import Columns, Holding
 from heliograph_services.tracker.flow.intake import Intake
 from heliograph_services.tracker.flow.kernel import make_runtime
-from heliograph_services.tracker.flow.local import local_motion
+from heliograph_services.tracker.flow.local import local_motions
 from heliograph_services.tracker.flow.network import FlowNetwork, paper_network
 from heliograph_services.tracker.flow.noise import NoiseMeter, is_due
 from heliograph_services.tracker.flow.readout import Reader
@@ -33,7 +33,6 @@ from heliograph_services.tracker.flow.spikes import TICKS, Runtime
 from heliograph_services.tracker.flow.surroundings import Motion, fit_motion
 
 Floats = npt.NDArray[np.float64]
-_Recent = tuple[Floats, Floats, Floats, Floats, Floats]
 
 # Beyond its own range a scale answers only as far as rounding blurs it.
 RANGE_SLACK: Final = 1.25
@@ -146,14 +145,20 @@ class FlowPyramid:
             t_us: when, within the last message; its end if None. What is fed beyond t_us changes nothing, so the answer
                 does not depend on how the stream was cut.
         """
+        place = np.array([[x_px], [y_px], [radius_px]], np.float64)
+        vx, vy, confidence = self.at_places(place[0], place[1], place[2], t_us)[0].tolist()
+        return vx, vy, confidence
+
+    def at_places(self, x_px: Floats, y_px: Floats, radius_px: Floats, t_us: int | None = None) -> Floats:
+        """Return (n, 3) float64, what `at` says of n places; arguments (n,) float64."""
         at_us = self._until_us if t_us is None else t_us
-        best = (0.0, 0.0, 0.0)
+        best = np.zeros((len(x_px), 3))
         if at_us is None:
             return best
         for run in self._scales:
             answer = run.at(x_px, y_px, radius_px, at_us)
-            if answer[2] > best[2]:
-                best = answer
+            surer = answer[:, 2] > best[:, 2]
+            best[surer] = answer[surer]
         return best
 
     def surroundings(self, t_us: int | None = None) -> Motion | None:
@@ -220,11 +225,9 @@ class _ScaleRun:
         self._runtime = runtime(network, columns, rows)
         self._sampler = Sampler(columns, rows, settings.tile_inputs * max(1.0, scale.step_us / 10_000), network.v_th)
         self._reader = Reader(network, columns, rows, settings.readout == "fit")
-        self._recent: tuple[int, _Recent | None] | None = None  # the last answer of `recent`, until more is fed
         self._now: int | None = None  # the tick that is being collected
         self._quiet = TICKS  # ticks without input
-        self._hold_us = settings.hold_ticks * scale.step_us
-        self._held: deque[FlowSamples] = deque()
+        self._holding = Holding(settings.hold_ticks * scale.step_us)
         # Stream pixels and ticks in one of the network's.
         self._cell_ticks = (scale.pool_px // pool_px) ** 2 * scale.step_us / tick_us
         # px/s of one pixel a tick.
@@ -254,52 +257,28 @@ class _ScaleRun:
 
     def forget(self, t0_us: int) -> None:
         """Drop the samples that answer nothing from t0 on."""
-        self._recent = None
-        while self._held and t0_us - self._held[0].t_us > self._hold_us:
-            self._held.popleft()
+        self._holding.forget(t0_us)
 
-    def at(self, x_px: float, y_px: float, radius_px: float, at_us: int) -> tuple[float, float, float]:
-        """Return this scale's answer; see FlowPyramid.at."""
-        recent = self.recent(at_us)
-        if recent is None:
-            return 0.0, 0.0, 0.0
-        vx, vy, confidence = local_motion(*recent, x_px, y_px, radius_px)
-        if not self._range[0] <= np.hypot(vx, vy) <= self._range[1]:
-            return 0.0, 0.0, 0.0
-        return float(vx), float(vy), float(confidence)
+    def at(self, x_px: Floats, y_px: Floats, radius_px: Floats, at_us: int) -> Floats:
+        """Return this scale's answers; see FlowPyramid.at_places."""
+        out = np.zeros((len(x_px), 3))
+        recent = self._holding.at(at_us)
+        if recent is not None:
+            local_motions(*recent, x_px, y_px, radius_px, out)
+            speed = np.hypot(out[:, 0], out[:, 1])
+            out[(speed < self._range[0]) | (speed > self._range[1])] = 0.0
+        return out
 
-    def recent(self, at_us: int) -> _Recent | None:
-        """Return x, y (moved on to at_us), vx, vy and weight of the samples that still count; None without any."""
-        # Many places are asked at one time.
-        if self._recent is None or self._recent[0] != at_us:
-            self._recent = at_us, self._moved(at_us)
-        return self._recent[1]
+    def some(self, at_us: int) -> Columns:
+        """Return the samples that answer at a time, evenly chosen ones if there are many."""
+        return self._holding.some(at_us, SURROUNDINGS_LIMIT) or (np.empty(0),) * 5
 
-    def some(self, at_us: int) -> _Recent:
-        """Return `recent`, of evenly chosen samples if there are many."""
-        recent = self.recent(at_us)
-        if recent is None:
-            return (np.empty(0),) * 5
-        x, y, vx, vy, weight = (column[:: -(-len(column) // SURROUNDINGS_LIMIT)] for column in recent)
-        return x, y, vx, vy, weight
-
-    def within(self, motion: Motion, samples: _Recent) -> _Recent:
+    def within(self, motion: Motion, samples: Columns) -> Columns:
         """Return the samples at whose places the motion has a speed of this scale."""
         speed = np.hypot(*motion.along(samples[0], samples[1]))
         mine = (speed >= self._range[0]) & (speed <= self._range[1])
         x, y, vx, vy, weight = (column[mine] for column in samples)
         return x, y, vx, vy, weight
-
-    def _moved(self, at_us: int) -> _Recent | None:
-        held = [samples for samples in self._held if 0 <= at_us - samples.t_us <= self._hold_us]
-        if not held:
-            return None
-        age_s = np.repeat([(at_us - samples.t_us) / US_PER_S for samples in held], [len(samples) for samples in held])
-        x, y, vx, vy, weight = (
-            np.concatenate([getattr(samples, name) for samples in held])
-            for name in ("x_px", "y_px", "vx_px_s", "vy_px_s", "weight")
-        )
-        return x + vx * age_s, y + vy * age_s, vx, vy, weight
 
     def _advance(self, tick: int, noise: float) -> list[FlowSamples]:
         """Run the network up to the beginning of a tick."""
@@ -344,7 +323,7 @@ class _ScaleRun:
             samples.gy / square * self._unit,
             samples.weight,
         )
-        self._held.append(out)
+        self._holding.add(out.t_us, (out.x_px, out.y_px, out.vx_px_s, out.vy_px_s, out.weight))
         return [out]
 
 
