@@ -90,8 +90,8 @@ def _gather(x: Any, y: Any, k: Any, s: Any, tuning: Any, slot: Any, sums: Any, b
 
 
 @kernel
-def _fit(px: int, py: int, g0x: float, g0y: float, delay: Any, arrival: Any, now: float) -> Any:
-    """Return the slowness by the module's least squares around pixel (px, py)."""
+def _fit(px: int, py: int, g0x: float, g0y: float, delay: Any, k: int, arrival: Any, now: float) -> Any:
+    """Return the slowness by the module's least squares around pixel (px, py), at which neuron k fired most."""
     n = 0.0
     sx = 0.0
     sy = 0.0
@@ -104,17 +104,17 @@ def _fit(px: int, py: int, g0x: float, g0y: float, delay: Any, arrival: Any, now
     for oy in range(-REACH, REACH + 1):
         for ox in range(-REACH, REACH + 1):
             age = now - arrival[py + oy + REACH, px + ox + REACH]
-            if abs(age - delay[(oy + REACH) * SIDE + ox + REACH]) > INLIER_TICKS:
-                continue
-            n += 1.0
-            sx += ox
-            sy += oy
-            sa += age
-            sxx += ox * ox
-            sxy += ox * oy
-            syy += oy * oy
-            sxa += ox * age
-            sya += oy * age
+            # Counted without a branch: which synapses fit is as good as random, and a wrong guess costs more than a sum.
+            fits = 1.0 if abs(age - delay[k, (oy + REACH) * SIDE + ox + REACH]) <= INLIER_TICKS else 0.0
+            n += fits
+            sx += fits * ox
+            sy += fits * oy
+            sa += fits * age
+            sxx += fits * (ox * ox)
+            sxy += fits * (ox * oy)
+            syy += fits * (oy * oy)
+            sxa += fits * ox * age
+            sya += fits * oy * age
     if n == 0.0:
         return g0x, g0y
     a = sxx - sx * sx / n + PRIOR
@@ -143,7 +143,7 @@ def _read(
             vx = velocity[k, 0]
             vy = velocity[k, 1]
             v2 = vx * vx + vy * vy
-            gx, gy = _fit(int(best[j, 0]), int(best[j, 1]), vx / v2, vy / v2, delay[k], arrival, now)
+            gx, gy = _fit(int(best[j, 0]), int(best[j, 1]), vx / v2, vy / v2, delay, k, arrival, now)
         else:
             vx = sums[j, 1] / cube
             vy = sums[j, 2] / cube
