@@ -172,10 +172,25 @@ def _greedy(order: Rows, row: Rows, target: Rows, chosen: Rows, taken: npt.NDArr
             taken[target[p]] = True
 
 
+@kernel
+def _places(value: Rows) -> tuple[Rows, Rows]:
+    """Return the distinct values, rising, and the place of each value among them."""
+    order = np.argsort(value, kind="mergesort")
+    distinct = np.empty(len(value), np.int64)
+    place = np.empty(len(value), np.int64)
+    n = 0
+    for i in order:
+        if n == 0 or value[i] != distinct[n - 1]:
+            distinct[n] = value[i]
+            n += 1
+        place[i] = n - 1
+    return distinct[:n], place
+
+
 def _optimal(row: Rows, target: Rows, cost: Floats, chosen: Rows) -> None:
     """Assign one group at the least total cost, with as many pairs as possible."""
-    rows, r = np.unique(row, return_inverse=True)
-    targets, t = np.unique(target, return_inverse=True)
+    rows, r = _places(row)
+    targets, t = _places(target)
     # Leaving a row and a target alone costs more than all pairs together, a pair outside the gate more than that.
     alone = 2.0 * float(cost.sum()) + 1.0
     dense = np.full((len(rows), len(targets)), 4.0 * alone)
@@ -227,7 +242,7 @@ def assign(
     row, target, cost = out[0, :n].astype(np.int64), out[1, :n].astype(np.int64), out[2, :n]
     if n == 0:
         return chosen
-    if len(np.unique(row)) == n == len(np.unique(target)):
+    if max(np.bincount(row).max(), np.bincount(target).max()) == 1:
         chosen[row] = target
         return chosen
     group = _groups(row, target, len(rows), len(targets.x_px))

@@ -235,7 +235,9 @@ class GridFollower:
         alive = at_us - np.where(table.named, since_us, table.seen_us) <= coast
         alive &= (table.status != INVALID) | (at_us - table.invalid_us < config.invalid_us)
         alive &= table.named | (at_us - table.born_us <= config.confirm_us)
-        state, _ = self._extrapolated(at_us)
+        state = self.table.state.copy()
+        state[:, :2] += (at_us - self._at_us) / US_PER_S * state[:, 2:]
+        turning.turn(self.table, state, self._at_us, at_us)
         margin = LEAVE_RADII * table.radius_px + LEAVE_PX
         for axis, side in enumerate(self._size):
             alive &= (state[:, axis] >= -margin) & (state[:, axis] <= side - 1 + margin)
@@ -254,7 +256,7 @@ class GridFollower:
         What is in birth has none of its own: fragments of edges would jump from one to the next, and be confirmed.
         """
         q, dt_us = self._config.process_noise_px2_s3, max(1, to_us - self._at_us)
-        turning_us = np.clip(self.table.seen_us + TURN_US - self._at_us, 0, dt_us) * self.table.named
+        turning_us = np.minimum(np.maximum(self.table.seen_us + TURN_US - self._at_us, 0), dt_us) * self.table.named
         return np.asarray(q + (np.maximum(self.table.q, q) - q) * (turning_us / dt_us))
 
     def _predict(self, to_us: int) -> None:

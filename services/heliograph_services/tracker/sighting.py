@@ -164,7 +164,8 @@ def see(table: TrackTable, filters: Filters, seen: Sighting, targets: Targets, e
     blinked |= _relit(table, rows, (on - off) >= CLEAR * (on + off), seen_px, end_us, rule)
     table.blinks[rows] += blinked
     table.blink_us[rows] = np.where(blinked, end_us, table.blink_us[rows])
-    passed = np.clip((end_us - table.seen_us[rows]) / (rule.window_s * US_PER_S), 1.0, HABIT_WINDOWS)
+    passed = (end_us - table.seen_us[rows]) / (rule.window_s * US_PER_S)
+    passed = np.minimum(np.maximum(passed, 1.0), HABIT_WINDOWS)
     table.habit[rows] = np.minimum(table.habit[rows] * (1 - HABIT) ** passed + HABIT * switched, 1.0)
     dipole = np.minimum(on, off) >= DIPOLE_SHARE * (on + off)
     table.shine[rows] += SHINE * (dipole - table.shine[rows])
@@ -201,8 +202,8 @@ def _turn(table: TrackTable, rows: Longs, innovation: Floats, trust: Floats, rul
     rho = (table.lag_px[rows] ** 2).sum(axis=1) / np.maximum(table.power_px2[rows], 1e-12)
     factor = np.where(rho > LAGS, np.where(trust > 0, UP, 1.0), np.where(rho < WHITE, 1 / DOWN, 1.0))
     speed2 = (table.state[rows, 2:] ** 2).sum(axis=1)
-    least = np.clip(2 * TURN_S * (speed2 / TURN_RADIUS_PX) ** 2, rule.q, rule.q_max)
-    table.q[rows] = np.clip(table.q[rows] * factor, least, rule.q_max)
+    least = np.minimum(np.maximum(2 * TURN_S * (speed2 / TURN_RADIUS_PX) ** 2, rule.q), rule.q_max)
+    table.q[rows] = np.minimum(np.maximum(table.q[rows] * factor, least), rule.q_max)
 
 
 def _relit(table: TrackTable, rows: Longs, rise: Flags, seen_px: Floats, end_us: int, rule: Rule) -> Flags:

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliograph.units import US_PER_S
+from heliograph_services.tracker.jit import kernel
 from heliograph_services.tracker.tracks import TrackTable
 
 Floats = npt.NDArray[np.float64]
@@ -46,7 +47,7 @@ def learn(table: TrackTable, rows: Longs, before_px_s: Floats, end_us: int, wind
     speed2 = (before_px_s**2).sum(axis=1)
     dt_s = np.maximum((end_us - table.seen_us[rows]) / US_PER_S, window_s)
     change = GAIN * cross / (np.maximum(speed2, LEAST_PX_S**2) * dt_s)
-    rate = np.clip(table.turn_rad_s[rows] + change, -MOST_RAD_S, MOST_RAD_S)
+    rate = np.minimum(np.maximum(table.turn_rad_s[rows] + change, -MOST_RAD_S), MOST_RAD_S)
     table.turn_rad_s[rows] = np.where(speed2 > LEAST_PX_S**2, rate, 0.0)
 
 
@@ -59,21 +60,24 @@ def turn(table: TrackTable, state: Floats, from_us: int, to_us: int) -> None:
         from_us: when it began.
         to_us: when it is.
     """
-    t_s = np.clip(table.seen_us + ON_US - from_us, 0, to_us - from_us) / US_PER_S
-    angle = table.turn_rad_s * t_s
-    if not angle.any():
-        return
-    rest_s = (to_us - from_us) / US_PER_S - t_s
-    vx, vy = state[:, 2].copy(), state[:, 3].copy()
-    # Along the chord, sin(a/2) / (a/2) as long as the arc and at half the angle; after it straight on.
-    chord = np.sinc(angle / (2 * np.pi)) * t_s
-    straight_s = t_s + rest_s
-    for angles, length in ((angle / 2, chord), (angle, rest_s)):
-        cos, sin = np.cos(angles), np.sin(angles)
-        state[:, 0] += (cos * vx - sin * vy) * length
-        state[:, 1] += (sin * vx + cos * vy) * length
-    state[:, 0] -= vx * straight_s
-    state[:, 1] -= vy * straight_s
-    cos, sin = np.cos(angle), np.sin(angle)
-    state[:, 2] = cos * vx - sin * vy
-    state[:, 3] = sin * vx + cos * vy
+    _turn(state, table.turn_rad_s, table.seen_us, from_us, to_us)
+
+
+@kernel
+def _turn(state: Floats, turn_rad_s: Floats, seen_us: Longs, from_us: int, to_us: int) -> None:
+    whole_s = (to_us - from_us) / US_PER_S
+    for i in range(len(state)):
+        t_s = min(max(seen_us[i] + ON_US - from_us, 0), to_us - from_us) / US_PER_S
+        angle = turn_rad_s[i] * t_s
+        if angle == 0.0:
+            continue
+        vx, vy = state[i, 2], state[i, 3]
+        cos, sin = np.cos(angle), np.sin(angle)
+        # Along the chord, sin(a/2) / (a/2) as long as the arc and at half the angle; after it straight on.
+        half_cos, half_sin = np.cos(angle / 2), np.sin(angle / 2)
+        chord_s = half_sin / (angle / 2) * t_s
+        rest_s = whole_s - t_s
+        state[i, 2] = cos * vx - sin * vy
+        state[i, 3] = sin * vx + cos * vy
+        state[i, 0] += (half_cos * vx - half_sin * vy) * chord_s + state[i, 2] * rest_s - vx * whole_s
+        state[i, 1] += (half_sin * vx + half_cos * vy) * chord_s + state[i, 3] * rest_s - vy * whole_s

@@ -104,7 +104,7 @@ def _fit(px: int, py: int, g0x: float, g0y: float, delay: Any, k: int, arrival: 
     for oy in range(-REACH, REACH + 1):
         for ox in range(-REACH, REACH + 1):
             age = now - arrival[py + oy + REACH, px + ox + REACH]
-            # Counted without a branch: which synapses fit is as good as random, and a wrong guess costs more than a sum.
+            # Counted without a branch: which synapses fit is as good as random, and wrong guesses cost more than sums.
             fits = 1.0 if abs(age - delay[k, (oy + REACH) * SIDE + ox + REACH]) <= INLIER_TICKS else 0.0
             n += fits
             sx += fits * ox
