@@ -242,7 +242,7 @@ def assign(
     row, target, cost = out[0, :n].astype(np.int64), out[1, :n].astype(np.int64), out[2, :n]
     if n == 0:
         return chosen
-    if max(np.bincount(row).max(), np.bincount(target).max()) == 1:
+    if len(_places(row)[0]) == n == len(_places(target)[0]):
         chosen[row] = target
         return chosen
     group = _groups(row, target, len(rows), len(targets.x_px))
