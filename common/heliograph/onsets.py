@@ -25,8 +25,7 @@ beacon is: it is emptied, and counted.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numba
 import numpy as np
@@ -34,11 +33,11 @@ import numpy.typing as npt
 
 from heliograph.events import EventBatch
 from heliograph.onset_columns import COUNT_LIMIT, TICK_ENTRIES_LIMIT
+from heliograph.onset_entries import Gate, OnsetColumns, OnsetSettings
 from heliograph.units import US_PER_S
 
 __all__ = ["TICK_ENTRIES_LIMIT", "Gate", "OnsetColumns", "OnsetCounter", "OnsetSettings", "warm"]
 
-Gate = Literal["open", "active"]
 TICKS_LIMIT: Final = 65_535
 # A block of 32x32 pixels sees 120 events of .4 Mev/s of VGA noise in it: its quartile is 6 % low.
 EPOCH_US: Final = 100_000
@@ -62,50 +61,6 @@ _WORD: Final = 0xFFFF_FFFF
 _LONG_AGO: Final = 1 << 31
 # Places in the counter's whole numbers.
 _BEFORE, _HALF, _SINCE, _EPOCHS, _THRESHOLD, _GATED, _FLOODED, _OFF_SENSOR, _WHOLE = range(9)
-
-
-@dataclass(frozen=True, slots=True)
-class OnsetSettings:
-    """What an onset counter is made for; the ranges are checked by the service's configuration.
-
-    Args:
-        width: of the sensor, pixels.
-        height: of the sensor, pixels.
-        tick_us: length of a tick.
-        pool_px: side of the square of sensor pixels that becomes one entry.
-        gate: "open" or "active", see the module.
-        min_events: the least that the active gate asks for.
-        noise_hz: entries of noise a second that may pass the active gate; 0: it asks for min_events, always.
-        memory_us: see the module.
-    """
-
-    width: int
-    height: int
-    tick_us: int
-    pool_px: int = 1
-    gate: Gate = "active"
-    min_events: int = 2
-    noise_hz: float = 2_000.0
-    memory_us: int = 250_000
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class OnsetColumns:
-    """The entries of some ticks, in the order (tick, y, x); columns as in `heliograph.streams.Onsets`.
-
-    `light` says which lie at a blinking light (none with the gate open). `gated` counts entries that the gate dropped,
-    `flooded` ticks that were emptied, `off_sensor` events that were ignored because they lie outside the sensor.
-    """
-
-    tick: npt.NDArray[np.uint16]
-    x_px: npt.NDArray[np.uint16]
-    y_px: npt.NDArray[np.uint16]
-    on_count: npt.NDArray[np.uint8]
-    off_count: npt.NDArray[np.uint8]
-    light: npt.NDArray[np.bool_]
-    gated: int
-    flooded: int
-    off_sensor: int
 
 
 class OnsetCounter:
