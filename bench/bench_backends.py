@@ -13,6 +13,9 @@ A window: 1000 blinking discs of radius 2 px on 1280 x 720 pixels, all of them p
 follower from entries to updated tracks, with predictions, clustering, shapes, gates, assignment and life; the batched
 parts of it, "assign + update", from targets to updated tracks.
 
+The flow network: a tick of the same 1000 discs, all pixels active, which move on by a pixel each tick; every spike is
+asked for. Beside the kernel: the torch backend, which must give the same spikes.
+
 numpy's PCG64 with the printed seed; median of the runs after one that is not counted; one thread.
 
 Run: OMP_NUM_THREADS=1 python bench/bench_backends.py [--seed 1] [--runs 15]
@@ -38,8 +41,12 @@ from heliograph_services.tracker.association import Candidates, Gate
 from heliograph_services.tracker.clustering import Active
 from heliograph_services.tracker.config import TrackerConfig
 from heliograph_services.tracker.core import COUNTERS, warm
+from heliograph_services.tracker.flow.kernel import make_runtime
+from heliograph_services.tracker.flow.network import DELAY_LIMIT, paper_network
+from heliograph_services.tracker.flow.spikes import Runtime
 from heliograph_services.tracker.follower import GridFollower, Numbers
 from heliograph_services.tracker.motion import NoMotion
+from heliograph_services.tracker.reference import flow as torch_flow
 from heliograph_services.tracker.reference import kalman as reference
 from heliograph_services.tracker.windows import Window
 
@@ -201,6 +208,30 @@ def windows(rng: np.random.Generator, runs: int) -> None:
     row(f"  predict, assign, update {TRACKS} tracks", *parts, f"n = {runs}")
 
 
+def network(rng: np.random.Generator, runs: int) -> None:
+    """Time a tick of the flow network."""
+    x, y, _ = discs(rng)
+    took: list[float] = []
+    fired: list[list[tuple[Longs, ...]]] = []
+    for make in (make_runtime, torch_flow.runtime):
+        runtime: Runtime = make(paper_network(), 1280, 720)
+        spikes: list[tuple[Longs, ...]] = []
+        each = []
+        for tick in range(DELAY_LIMIT + 1 + runs):
+            start = time.perf_counter()
+            found = runtime.step((x + tick) % 1280, y)
+            # Histories are full by then.
+            if tick > DELAY_LIMIT:
+                each.append(time.perf_counter() - start)
+            spikes.append((found.x.copy(), found.y.copy(), found.k.copy()))
+        took.append(1e3 * statistics.median(each))
+        fired.append(spikes)
+    for ours, theirs in zip(*fired, strict=True):
+        for a, b in zip(ours, theirs, strict=True):
+            np.testing.assert_array_equal(a, b)
+    row(f"a tick of the flow network, {len(x)} pixels", *took, f"n = {runs}")
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -215,6 +246,7 @@ def main() -> None:
     clustering(rng, args.runs)
     filters(rng, args.runs)
     windows(rng, args.runs)
+    network(rng, args.runs)
 
 
 if __name__ == "__main__":

@@ -9,16 +9,20 @@ Each kind of crossing is drawn from the ranges printed. `kept`: at the end both 
 `swapped`: each other's; else one is without a track, or has a third name. Bound: the lower 95 % bound of the share
 kept (Clopper and Pearson, one-sided). Seeds 0 to 99 were for development; these are others.
 
-Run: PYTHONPATH=tests python bench/bench_crossings.py [--first 1000] [--n 200] [--read]
+Run: python bench/bench_crossings.py [--first 1000] [--n 200] [--read]
 """
 
 from __future__ import annotations
 
 import argparse
-import math
 import platform
+import sys
+from pathlib import Path
 from typing import Final
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from heliograph_services.cli.studies.blocks import lower_bound
 from support.crossings import Kind, outcomes
 from support.crossings_read import outcomes_read
 
@@ -29,16 +33,6 @@ KINDS: Final = {
     "at a small angle": Kind(angle_deg=(10.0, 20.0), speed_px_s=(50.0, 200.0)),
     "slow": Kind(speed_px_s=(10.0, 60.0)),
 }
-
-
-def lower_bound(k: int, n: int) -> float:
-    """Return the p at which k of n or more successes have a probability of .05."""
-    low, high = 0.0, 1.0
-    for _ in range(60):
-        p = (low + high) / 2
-        tail = sum(math.comb(n, i) * p**i * (1 - p) ** (n - i) for i in range(k, n + 1))
-        low, high = (p, high) if tail < 0.05 else (low, p)
-    return low
 
 
 def main() -> None:

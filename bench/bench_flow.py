@@ -342,7 +342,7 @@ def accuracy(names: list[str], before: dict[str, Any]) -> dict[str, Any]:
                 key = (scene.kind, scene.speed_px_s, scene.noise_hz, name)
                 gathered.setdefault(key, []).append((*answers, onsets[-1].t1_us * 1e-6))
     rng = np.random.default_rng(0)
-    rows = [row for row in before.get("rows", []) if row["method"] not in names]
+    rows = [row for row in before.get("rows", []) if row["method"] in makers() and row["method"] not in names]
     for (kind, speed, noise, method), parts in gathered.items():
         angles = [a for part in parts for a in part[0]]
         errors = [e for part in parts for e in part[1]]
@@ -366,7 +366,8 @@ def accuracy(names: list[str], before: dict[str, Any]) -> dict[str, Any]:
     return {
         "seeds": SEEDS,
         "tuning_seeds": TUNE_SEEDS,
-        "tuned": before.get("tuned", {}) | {m: s for m, (s, _) in methods.items()},
+        "tuned": {m: s for m, s in before.get("tuned", {}).items() if m in makers()}
+        | {m: s for m, (s, _) in methods.items()},
         "rows": rows,
     }
 
