@@ -131,7 +131,8 @@ def page(flow: dict[str, Any], training: dict[str, Any] | None) -> str:
         " (95 % interval: bootstrap over seed x place x 1 s; no answer counts 100 %), median angle error of the"
         " answers, share of the places asked that got one. Noise is of the whole sensor, of which the scenes are a"
         " cut-out of 160 x 120; core: mean share of one core over the row's scenes, feeding and asking. The centroid"
-        " is told where the discs are."
+        " is told where the discs are. Where tuning chooses l_tau 0 and our input for it, Orchard's form is that of the"
+        " population read-out."
     )
     lines = [
         "# Flow: how well, at what cost",
