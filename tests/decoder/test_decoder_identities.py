@@ -115,3 +115,28 @@ def test_a_turning_beacon_is_read_however_often_the_tracker_speaks(period_us: in
     assert len(frames) >= 0.95 * 1_000_000 / FRAME_US
     off = [np.hypot(x_px - curve(np.array(t / 1e6))[0], y_px - curve(np.array(t / 1e6))[1]) for t, x_px, y_px in frames]
     assert np.percentile(off, 95) < 2.0
+
+
+def test_an_identity_is_not_told_with_the_place_of_a_light_that_does_not_read_as_it() -> None:
+    # From half a second on the light at the place is another's (one that no frame fits), or there is none.
+    for after, told_on in ((17, False), (None, True)):
+        first = Disc(5, still(60, 60), lit_us=(0, 500_000))
+        others = [] if after is None else [Disc(after, still(60, 60), lit_us=(500_000, 9_000_000))]
+        batch = scene([first, *others], 0, 850_000, WIDTH, HEIGHT)
+        told = [(t + 20_000, tracks(t, [("a-0", first, 0)])) for t in range(0, 850_000, 100_000)]
+        decoder = core()
+        out = states(run(decoder, batch, told, 850_000))
+        late = [one.t_us for one in out if one.change == "refreshed" and one.t_us > 540_000]
+        assert late == ([600_000, 700_000, 800_000] if told_on else [])
+        assert decoder.counters["refreshments_withheld"] == (0 if told_on else 3)
+
+
+def test_a_name_that_moves_tells_where_its_light_is_now() -> None:
+    disc = Disc(5, straight(60, 120, 400, 0))
+    batch = scene([disc], 0, 500_000, WIDTH, HEIGHT)
+    # The tracker has restarted: its new name takes effect between two refreshments.
+    told = [(t + 20_000, tracks(t, [("a-0" if t < 350_000 else "b-0", disc, 0)])) for t in range(0, 450_000, 50_000)]
+    out = states(run(core(), batch, told, 500_000))
+    (moved,) = [one for one in out if one.track == "b-0" and one.change == "accepted"]
+    assert moved.t_us % 100_000 != 0
+    assert moved.x_px == pytest.approx(60 + 400e-6 * moved.t_us, abs=2.0)

@@ -23,7 +23,7 @@ class Track:
         self.acceptance = Acceptance(4, 11, 1000.0)
         self.slot = 11
 
-    def sends(self, *payloads: int | None, lock: int = 1) -> list[bool]:
+    def sends(self, *payloads: int | None, lock: int = 1, score: float = 0.9) -> list[bool]:
         changed = []
         for payload in payloads:
             t_us = self.slot * 1000
@@ -31,7 +31,7 @@ class Track:
             if payload is None:
                 self.acceptance.refuse()
             else:
-                frame = LinkFrame(t_us, payload, 0.9, 5.0)
+                frame = LinkFrame(t_us, payload, score, 5.0)
                 changed.append(self.acceptance.frame(frame, Place(lock, self.slot)))
             self.slot += 11
         return changed
@@ -101,6 +101,19 @@ def test_a_new_payload_must_win_four_frames_and_each_is_told() -> None:
     assert track.sends(5) == [True]
     assert track.payload == 5
     assert track.sends(5) == [False]
+
+
+def test_doubtful_frames_make_an_identity_but_replace_none() -> None:
+    track = Track()
+    track.sends(42, 42, 42, 42, score=0.6)
+    assert track.payload == 42
+    assert track.sends(5, 5, 5, 5, 5, 5, score=0.6) == [True] * 6
+    assert track.payload == 42
+    # Nor do three sure ones with a doubtful one among the last four.
+    track.sends(5, 5, 5)
+    assert track.payload == 42
+    track.sends(5)
+    assert track.payload == 5
 
 
 def test_the_status_follows_algorithm_1() -> None:

@@ -54,13 +54,21 @@ def word_likelihood(slots: npt.NDArray[np.float64], bits: tuple[int, ...], next_
     return total
 
 
+def either_likelihood(slots: npt.NDArray[np.float64], bits: tuple[int, ...], next_one: float, at_rest: float) -> float:
+    """Likelihood of bits of a light that moves, or with the chance at_rest shows lit what it shows dark."""
+    resting = slots.copy()
+    resting[:, 3] = resting[:, 0]
+    moving = (1.0 - at_rest) * word_likelihood(slots, bits, next_one)
+    return moving + at_rest * word_likelihood(resting, bits, next_one)
+
+
 def decision(
-    slots: npt.NDArray[np.float64], words: list[tuple[int, ...]], next_one: float, other: float
+    slots: npt.NDArray[np.float64], words: list[tuple[int, ...]], next_one: float, other: float, at_rest: float = 0.0
 ) -> tuple[int, float, float]:
     """Return the best word, its posterior and the evidence, by trying all 2**n bits."""
     n = len(words[0])
-    each = [word_likelihood(slots, word, next_one) for word in words]
-    anything = sum(word_likelihood(slots, bits, next_one) for bits in product((0, 1), repeat=n)) / 2**n
+    each = [either_likelihood(slots, word, next_one, at_rest) for word in words]
+    anything = sum(either_likelihood(slots, bits, next_one, at_rest) for bits in product((0, 1), repeat=n)) / 2**n
     best = int(np.argmax(each))
     code = (1.0 - other) * sum(each) / len(each)
     return (

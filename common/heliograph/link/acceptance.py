@@ -11,7 +11,7 @@ corrected (s = 1 + n if t = 1, else 1)::
     code20d4  W 522, s 21, k 3: 522 21/2^20 (21/2^20)^2 * 10    = 4.2e-11
 
 k is the least for which it stays below 1e-10 (seed11 four, code18d4 four, code20d4 three). A new payload must do the
-same to replace the old one; until then its frames count as PAYLOAD_CHANGED.
+same to replace the old one, with no frame below SURE; until then its frames count as PAYLOAD_CHANGED.
 
 Status, the paper's Algorithm 1: score +2 for a frame of the candidate (the first payload seen; the accepted one, once
 there is one), -1 for a refused frame; valid at SCORE_MAX, invalid at 0 or below, which forgets identity and candidate.
@@ -46,6 +46,9 @@ GAIN_OTHER: Final = 1
 DELAY_VALID_US: Final = 2_000_000
 DELAY_NEW_US: Final = 300_000
 DELAY_FRAMES: Final = 5
+# What makes one frame of a light doubtful does the same to the next: four at .6 are not 1 - .4^4. Nine in ten, as for
+# learning (`heliograph.link.alignment`).
+SURE: Final = 0.9
 # No confidence is 1: foreign light that repeats a word of the code is believed.
 CONFIDENCE_TOP: Final = 0.9999
 
@@ -118,6 +121,8 @@ class Acceptance:
             return False
         if len(self._row) == self._needed and self._span(place) <= SPAN * self._needed - 1:
             frames = [each for each, _ in self._row]
+            if known is not None and min(each.score for each in frames) < SURE:
+                return True
             margin = sum(each.margin for each in frames)
             self._identity = Identity(frame.payload, frame.t_us, frame.t_us, self._needed, margin, _confidence(frames))
             self._candidate = frame.payload

@@ -15,6 +15,12 @@ frame's start is the protocol's, not another payload's::
 
     L(b) = mean_a l_0[a, b_0] * prod_i=1..n-1 l_i[b_i-1, b_i] * sum_a w_a l_n[b_n-1, a]
 
+A LED that moves shows its level, and does so no more where it turns: for many slots at once, which no mixture of single
+slots allows. So where a slot looks dark rather than lit, a word's likelihood is that of a light that goes on moving, or
+(AT_REST) of one at rest for this frame, whose lit slots are as the dark ones::
+
+    L(b) <- (1 - AT_REST) L(b) + AT_REST L(b | l_lit = l_dark)
+
 Sureness. Either a frame of the code was sent, each word as likely (prior 1 - OTHER), or n arbitrary bits (OTHER)::
 
     score = (1 - OTHER) / W L(best) / ((1 - OTHER) / W sum_w L(w) + OTHER / 2^n Z)       Z = sum over all 2^n bits
@@ -39,6 +45,12 @@ MISSED: Final = 0.01
 SPURIOUS: Final = 0.001
 # The level alone (a lit LED that moves makes events, a dark one none) says at most 3 nats a slot: motion may cease.
 LEVEL: Final = 0.05
+# One frame in fifty of a light that moves is at a turn; the value hardly matters: there a word with five lit pairs of
+# bits loses 15 nats without it, 4 with it.
+AT_REST: Final = 0.02
+# A slot says that nothing moves where dark is so much likelier than lit; the learned levels of a light at rest differ
+# by less.
+RESTS: Final = 0.5
 # exp(-10): two slots of contrary evidence are never outweighed by one more.
 FLOOR: Final = 4.5e-5
 # A tenth of all windows that reach a decision are no frame of this code (foreign light, a wrong alignment).
@@ -89,29 +101,47 @@ def decide(ring: Floats, first: int, words: npt.NDArray[np.uint8], next_one: flo
     begin0, begin1 = 0.5 * (opening[0] + opening[2]), 0.5 * (opening[1] + opening[3])
     end0 = (1.0 - next_one) * closing[0] + next_one * closing[1]
     end1 = (1.0 - next_one) * closing[2] + next_one * closing[3]
+    rest_begin1, rest_end1 = 0.5 * (opening[1] + opening[0]), (1.0 - next_one) * closing[2] + next_one * closing[0]
+    rest = _rests(ring, first, n)
     best, runner_up, total, which = 0.0, 0.0, 0.0, 0
     for w in range(count):
         word = words[w]
-        likelihood = begin1 if word[0] else begin0
+        likelihood = (1.0 - rest) * (begin1 if word[0] else begin0)
+        resting = rest * (rest_begin1 if word[0] else begin0)
         for i in range(1, n):
-            likelihood *= ring[(first + i) % size, 2 * word[i - 1] + word[i]]
-            if likelihood < NEGLIGIBLE * best:
+            x = 2 * word[i - 1] + word[i]
+            likelihood *= ring[(first + i) % size, x]
+            resting *= ring[(first + i) % size, x if x < 3 else 0]
+            if likelihood + resting < NEGLIGIBLE * best:
                 break
         likelihood *= end1 if word[n - 1] else end0
+        likelihood += resting * (rest_end1 if word[n - 1] else end0)
         total += likelihood
         if likelihood > best:
             best, runner_up, which = likelihood, best, w
         elif likelihood > runner_up:
             runner_up = likelihood
-    any0, any1 = begin0, begin1
+    any0, any1 = (1.0 - rest) * begin0, (1.0 - rest) * begin1
+    rest0, rest1 = rest * begin0, rest * rest_begin1
     for i in range(1, n):
         x = ring[(first + i) % size]
         any0, any1 = any0 * x[0] + any1 * x[2], any0 * x[1] + any1 * x[3]
-    anything = (any0 * end0 + any1 * end1) / 2.0**n
+        rest0, rest1 = rest0 * x[0] + rest1 * x[2], rest0 * x[1] + rest1 * x[0]
+    anything = (any0 * end0 + any1 * end1 + rest0 * end0 + rest1 * rest_end1) / 2.0**n
     verdict[BEST] = which
     verdict[SCORE] = (1.0 - OTHER) / count * best / ((1.0 - OTHER) / count * total + OTHER * anything)
     verdict[MARGIN] = np.log(best / max(runner_up, NEGLIGIBLE * best))
     verdict[EVIDENCE] = np.log(total / count / anything)
+
+
+@numba.njit(nogil=True)
+def _rests(ring: Floats, first: int, n: int) -> float:
+    """Return the prior of a light at rest in a frame: 0 where no slot looks like it."""
+    size = ring.shape[0]
+    for i in range(n + 1):
+        if ring[(first + i) % size, 3] < RESTS * ring[(first + i) % size, 0]:
+            return AT_REST
+    return 0.0
 
 
 @numba.njit(nogil=True)

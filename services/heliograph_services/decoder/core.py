@@ -183,6 +183,7 @@ class DecoderCore:
         self.counters["windows"] += 1
         self.counters["identifications"] = self._identities.accepted
         self.counters["identities_withheld"] = self._identities.withheld
+        self.counters["refreshments_withheld"] = self._identities.unsure
         self.counters["events_routed"] += len(routed.t_us)
 
         now_us = window.t1_us - 1 if window.last else window.t1_us
@@ -267,10 +268,7 @@ class DecoderCore:
     def _on_the_grid(self, following: Following, now_us: int, *, last: bool) -> list[Message]:
         out: list[Message] = []
         if now_us % self._config.refresh_us == 0:
-            for i, track in enumerate(following.tracks):
-                out += self._identities.texts(track)
-                if track.read:
-                    out += self._identities.state(track, following.at(i, now_us), now_us, "refreshed")
+            out += self._identities.refresh(following, now_us)
         if last or now_us % SECOND_US == 0:
             out += self._quality(following, now_us)
         if last or now_us % self._config.tracker_period_us == 0:
@@ -297,7 +295,7 @@ class DecoderCore:
 
 _COUNTERS: Final = (
     "events", "events_routed", "frames", "identifications", "identities_withheld", "repaintings", "streams",
-    "tracks_adopted", "tracks_begun", "tracks_dropped", "tracks_relocated", "windows",
+    "refreshments_withheld", "tracks_adopted", "tracks_begun", "tracks_dropped", "tracks_relocated", "windows",
 )  # fmt: skip
 
 

@@ -57,6 +57,7 @@ class Following:
         self._plan = plan
         self._serial = 0
         self.size = (width, height)
+        self.window_us = config.window_us
         self.tracks: list[Track] = []
         self.relocated = 0
         self._as_of_us: int | None = None  # of the last message

@@ -13,6 +13,11 @@ besides where the beacon is, and that there is one. So an identity is *withheld*
 Two that both read one payload at two places are two beacons of one payload, and both keep it. Texts have no payload:
 only the first rule is theirs. An identity that is withheld is published as lost, once; with the next frame that
 supports it, it is accepted again, unless a reason still stands.
+
+A payload that is held is told again and again with the place of its region, but not where that may be another's: while
+a frame of another payload has been read since, or none of its own for `UNSURE_FRAMES` frames though the region hears
+light, or its place is not known for sure. Where two lights cross, a region may follow the wrong one until its code is
+read: some frames. What was told last stands meanwhile, with its time.
 """
 
 from __future__ import annotations
@@ -32,6 +37,8 @@ from heliograph_services.decoder.tracks import Track
 
 # Receivers drop single frames, and look ahead by one or two; a LED dark for five is rare, and costs nothing: see above.
 STALE_FRAMES: Final = 5
+# Receivers refuse single frames, and two in a row of a weak light; what is not told now is told 100 ms later.
+UNSURE_FRAMES: Final = 3
 SIGMAS: Final = 3.0
 
 
@@ -48,6 +55,7 @@ class Identities:
         self._publisher = publisher
         self.accepted = 0  # identities accepted or changed, counted
         self.withheld = 0  # identities lost by the rules above, counted
+        self.unsure = 0  # refreshments left out
 
     def decide(self, following: Following, now_us: int) -> list[Message]:
         """Return what tracks have accepted, changed or lost up to now_us."""
@@ -118,15 +126,46 @@ class Identities:
             if name not in now:
                 out.append(self._publisher.again(state, name, now_us, "lost", ended.get(name)))
         gained: list[Message] = []
-        for track in following.tracks:
+        for i, track in enumerate(following.tracks):
             mine = track.state
             if mine is None or mine.track == track.name:
                 continue
             old = before.get(track.name)
-            track.state = self._publisher.again(mine, track.name, now_us, "accepted" if old is None else "changed")
+            # Where it was when it was told last, if it may not be where its region is now.
+            unsure = self._is_unsure(following, i, now_us)
+            at, at_us = (None, mine.t_us) if unsure else (following.at(i, now_us), now_us)
+            change: Change = "accepted" if old is None else "changed"
+            track.state = self._publisher.again(mine, track.name, at_us, change, at)
             if old is None or (old.protocol, old.beacon) != (mine.protocol, mine.beacon):
                 gained.append(track.state)
         return out + gained
+
+    def refresh(self, following: Following, now_us: int) -> list[Message]:
+        """Return the texts that have come, and the identities of all tracks that are where their beacons are."""
+        out: list[Message] = []
+        for i, track in enumerate(following.tracks):
+            out += self.texts(track)
+            if track.held is None:
+                continue
+            if self._is_unsure(following, i, now_us):
+                self.unsure += 1
+            else:
+                out += self.state(track, following.at(i, now_us), now_us, "refreshed")
+        return out
+
+    def _is_unsure(self, following: Following, i: int, now_us: int) -> bool:
+        """Return whether the light that region i follows may be another's than the identity's that its track holds."""
+        track = following.tracks[i]
+        held = track.held
+        if held is None or held.identity.payload is None or following.size == (1, 1):
+            return False
+        read_us = held.identity.t_us
+        if track.frame_link == held.link and track.frame_us > read_us:
+            return True
+        if now_us - read_us <= self._plan.frames_us(held.link, UNSURE_FRAMES) + following.window_us:
+            return False
+        hears = now_us - int(following.regions.centred_us()[i]) <= BLIND_US
+        return hears or _off_px(following, i) > 0.0 or _is_lost(following, i)
 
     def state(self, track: Track, at: Place, t_us: int, change: Change) -> list[Message]:
         """Publish the identity that a track holds."""
@@ -173,11 +212,22 @@ def _adrift(following: Following, i: int, *, unread: bool) -> bool:
     """Return whether the place of a blind region is not known any more."""
     if following.size == (1, 1):
         return False  # there is but one place
+    off_px = _off_px(following, i)
+    reach_px = following.regions.place(i).reach_px
+    return off_px > reach_px or (unread and (off_px > 0.0 or _is_lost(following, i)))
+
+
+def _off_px(following: Following, i: int) -> float:
+    """Return how far the centre of region i lies off the sensor; negative on it."""
     at = following.regions.place(i)
     sides = zip((at.x_px, at.y_px), following.size, strict=True)
-    off_px = max(max(-0.5 - p, p - (side - 0.5)) for p, side in sides)
-    lost = SIGMAS * float(np.sqrt(following.regions.doubt(i).xx)) > at.reach_px + GROW_LIMIT_PX
-    return off_px > at.reach_px or (unread and (off_px > 0.0 or lost))
+    return max(max(-0.5 - p, p - (side - 0.5)) for p, side in sides)
+
+
+def _is_lost(following: Following, i: int) -> bool:
+    """Return whether the doubt of region i is beyond what it can hear."""
+    reach_px = following.regions.place(i).reach_px
+    return SIGMAS * float(np.sqrt(following.regions.doubt(i).xx)) > reach_px + GROW_LIMIT_PX
 
 
 def _same(one: Accepted, other: Accepted) -> bool:
