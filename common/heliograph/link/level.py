@@ -12,7 +12,8 @@ events: a rise as ON, a fall as OFF.
 
 A light that stands still shows such edges too, around each burst. It is told apart once the grid is known: the middle
 of its bits is silent; and where its bursts are so slow that they fill a bit, every other one begins with OFF events,
-while a level only ever rises with ON events and falls with OFF events. If a window shows a level, its bits are read by
+while a level only ever rises with ON events and falls with OFF events. So its rises have a greater share of ON events
+than a lit LED has while it moves, and its falls a smaller one. If a window shows a level, its bits are read by
 their middle, and the response (`heliograph.link.response`) starts with the mean counts of each pair of bits.
 """
 
@@ -47,6 +48,8 @@ AFTER: Final = 4
 RISES_ON: Final = 0.75
 FALLS_OFF: Final = 0.5
 CHANGES_LEAST: Final = 4
+# Shares of a few dozen events err by less: falls with so much more of ON than lit bits have are no falls.
+SHARE_SLACK: Final = 0.2
 
 
 @numba.njit(cache=True, nogil=True)
@@ -106,7 +109,8 @@ def start(
         seen: (4,) out: zero.
 
     Returns:
-        Whether the middles of its bits are lit or dark, and it rises and falls as a level does.
+        Whether the middles of its bits are lit or dark, and it rises and falls as a level does; otherwise the rates
+        mean nothing.
     """
     bits = int((until - found[0]) / found[1])
     if bits < BITS_LEAST:
@@ -130,7 +134,14 @@ def start(
         return False
     _average(counts, lit, rate)
     seen[:] = 0
-    return True
+    steady = _share_on(rate[3])
+    return _share_on(rate[1]) > steady - SHARE_SLACK and _share_on(rate[2]) < steady + SHARE_SLACK
+
+
+@numba.njit(cache=True, nogil=True)
+def _share_on(rate: Floats) -> float:
+    """Return the share of ON events in a row of the rates."""
+    return float(rate[1].sum() / max(rate.sum(), 1e-9))
 
 
 @numba.njit(cache=True, nogil=True)
