@@ -99,3 +99,19 @@ def test_the_bursts_of_a_light_that_stands_still_are_no_level(spread: float) -> 
     found = np.array([0.0, 1.0, 0.0, 66.0])
     model, seen = np.zeros((4, 2, SUB)), np.zeros(4, np.int64)
     assert not level.start(t[order], on[order], 66.0, found, model, seen)
+
+
+def test_on_a_grid_that_is_off_by_half_a_bit_bursts_in_the_middle_are_no_level() -> None:
+    # A light that stands still, with ON events all the time: bits with a burst in their middle look lit, and what then
+    # counts as a fall begins with a rise's burst.
+    rng = np.random.default_rng(1)
+    bits = np.array([int(bit) for bit in modulation("seed11").encode(42)] * 6)
+    edges = np.flatnonzero(np.diff(bits)) + 1
+    bursts = [edge + rng.exponential(0.1, rng.poisson(60)) for edge in edges]
+    t = np.concatenate([rng.uniform(0.0, 66.0, 66 * 20), *bursts])
+    on = np.concatenate([np.ones(66 * 20), *(np.full(len(one), bits[k]) for one, k in zip(bursts, edges, strict=True))])
+    order = np.argsort(t)
+    t, on = t[order], on[order] > 0
+    inside = (t > 0.5) & (t < 64.0)
+    found = np.array([0.5, 1.0, 0.0, 64.0])
+    assert not level.start(t[inside], on[inside], 64.0, found, np.zeros((4, 2, SUB)), np.zeros(4, np.int64))
