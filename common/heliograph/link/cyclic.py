@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from heliograph.errors import Refusal, Refusals
 from heliograph.events import Flags, Times
-from heliograph.link import clock, demodulator, level, state
+from heliograph.link import clock, demodulator, level, state, trial
 from heliograph.link.acceptance import Acceptance, Place, frames_needed
 from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Text, Verdict
 from heliograph.link.frames import CyclicCode, bits_of, seed11_code
@@ -23,6 +23,9 @@ from heliograph.units import US_PER_S, bit_us
 
 # Fewest bits a window must hold: less than two frames of seed11 cannot be aligned anyway.
 WINDOW_LEAST_BITS: Final = 32
+# Parts of a block, at the end of each of which a young track is tried: 8 bits, 4 ms at 2 kbit/s, where the decoder is
+# fed every 5 ms.
+PARTS: Final = 2
 # Events held while waiting for a clock: 256 bits at 1 kbit/s hold 4 Mev/s in one region, a flicker of the whole image.
 WINDOW_EVENTS: Final = 1_000_000
 
@@ -50,7 +53,8 @@ class CyclicReceiver:
         if not read_periodic:
             self._refused_payloads |= dict.fromkeys(code.periodic - code.twins.keys(), Refusal.PERIODIC)
         self._known = frozenset(code.words)
-        self._acceptance = Acceptance(frames_needed(code), code.bits, bit_rate)
+        self._needed = frames_needed(code)
+        self._acceptance = Acceptance(self._needed, code.bits, bit_rate)
         self._state = state.new_state(code)
         self._origin_us: int | None = None  # of the lock; None while there is no clock
         self._locks = 0
@@ -58,6 +62,7 @@ class CyclicReceiver:
         self._until_us: int | None = None
         self._since_us: int | None = None  # the first event; later, where the last lock was lost
         self._block = 0  # number of the next block on the absolute grid
+        self._part = 0  # parts of it that have been looked at
         # Of events, and of the edges of the level that they show.
         self._sums = np.zeros((2, clock.LONG_BLOCKS, 4 * clock.BLOCK_OFFSETS + 1))
         self._level_t = np.zeros((clock.LONG_BLOCKS, 4 * clock.BLOCK_BITS))
@@ -144,9 +149,10 @@ class CyclicReceiver:
             if first >= self._block + clock.LONG_BLOCKS or first < self._block - clock.LONG_BLOCKS:
                 self._block = first
                 self._clear()
-            if (self._block + 1) * block_us > until_us:
+            if (self._block + (self._part + 1) / PARTS) * block_us > until_us:
                 break
-            if self._attempt(block_us):
+            self._part += 1
+            if self._early(block_us) if self._part < PARTS else self._attempt(block_us):
                 held = self._held_t, self._held_on
                 self._drop(len(self._held_t))
                 return held
@@ -154,6 +160,7 @@ class CyclicReceiver:
 
     def _clear(self) -> None:
         """Forget the blocks that were summed."""
+        self._part = 0
         self._sums[:] = 0.0
         self._level_n = [0] * clock.LONG_BLOCKS
 
@@ -165,9 +172,12 @@ class CyclicReceiver:
         begin_us, end_us = self._block * block_us, (self._block + 1) * block_us
         start, stop = (int(i) for i in np.searchsorted(self._held_t, (begin_us, end_us)))
         self._block += 1
+        self._part = 0
         t: clock.Floats = np.asarray((self._held_t[start:stop] - begin_us) / self._bit_us, np.float64)
         self._take_block(t, self._held_on[start:stop])
         since_us = self._since_us or 0
+        if stop > start and self._try(self._sums, end_us, end_us, block_us):
+            return True
         if stop > start and end_us - since_us >= WINDOW_LEAST_BITS * self._bit_us:
             windows = [(clock.SHORT_BLOCKS, clock.THRESHOLD_SHORT)]
             # A quarter more of a long window rarely tells more than the last one did, and most tracks are clutter that
@@ -191,6 +201,41 @@ class CyclicReceiver:
         self._drop(max(int(np.searchsorted(self._held_t, keep_us)), stop - WINDOW_EVENTS))
         return False
 
+    def _early(self, block_us: float) -> bool:
+        """Try the clock of a young track with a part of the next block."""
+        begin_us = self._block * block_us
+        end_us = begin_us + self._part / PARTS * block_us
+        if not self._young(end_us, block_us):
+            return False
+        start, stop = (int(i) for i in np.searchsorted(self._held_t, (begin_us, end_us)))
+        if stop == 0:
+            return False
+        t: clock.Floats = np.asarray((self._held_t[start:stop] - begin_us) / self._bit_us, np.float64)
+        sums = np.zeros_like(self._sums)
+        sums[:, :-1] = self._sums[:, 1:]
+        clock.block(t, self._held_on[start:stop], sums[0, -1])
+        return self._try(sums, end_us, begin_us + block_us, block_us)
+
+    def _young(self, end_us: float, block_us: float) -> bool:
+        """Return whether a track has shown as many frames as an identity takes, and not yet a long window."""
+        since_us = self._since_us or 0
+        return self._needed * self._code.bits * self._bit_us <= end_us - since_us < clock.LONG_BLOCKS * block_us
+
+    def _try(self, sums: clock.Floats, end_us: float, blocks_end_us: float, block_us: float) -> bool:
+        """Lock to a likely clock of a young track, in a short window or in all since it began, if its code repeats."""
+        if not self._young(end_us, block_us):
+            return False
+        since_us = self._since_us or 0
+        all_blocks = min(int(np.ceil((blocks_end_us - since_us) / block_us)), clock.LONG_BLOCKS)
+        for blocks in dict.fromkeys((min(clock.SHORT_BLOCKS, all_blocks), all_blocks)):
+            f, z = clock.peak(sums[0, -blocks:])
+            if z < trial.THRESHOLD:
+                continue
+            begin_us = max(blocks_end_us - blocks * block_us, float(since_us))
+            if self._lock([(f, z), (1.0, 0.0)], trial.THRESHOLD, begin_us, end_us, blocks, tried=True):
+                return True
+        return False
+
     def _take_block(self, t: clock.Floats, on: Flags) -> None:
         """Sum the next block, its events and the edges of their level."""
         self._sums[:, :-1] = self._sums[:, 1:]
@@ -201,11 +246,18 @@ class CyclicReceiver:
         clock.block(self._level_t[-1, :n], self._level_on[-1, :n], self._sums[1, -1])
 
     def _lock(
-        self, peaks: list[tuple[float, float]], threshold: float, begin_us: float, end_us: float, blocks: int
+        self,
+        peaks: list[tuple[float, float]],
+        threshold: float,
+        begin_us: float,
+        end_us: float,
+        blocks: int,
+        *,
+        tried: bool = False,
     ) -> bool:
         """Begin with a clock found in a window, if what was found is one; the events before it are dropped.
 
-        The edges of a level are no clock unless the bits between them show it.
+        The edges of a level are no clock unless the bits between them show it; what is tried, unless its code repeats.
         """
         origin_us = int(np.floor(begin_us))
         start, stop = (int(i) for i in np.searchsorted(self._held_t, (begin_us, end_us)))
@@ -222,8 +274,14 @@ class CyclicReceiver:
             if z < threshold:
                 return False
             clock.grid(t, on, f, until, self._found, self._folded)
-        self._drop(start)
+        if tried:
+            if not trial.alike(t, on, until, self._found, self._code.bits, self._needed - 1):
+                return False
+            state.start(self._state, self._folded, self._found, last, self._code)
+            if not trial.repeats(t, on, until, self._state, self._needed - 1):
+                return False
         state.start(self._state, None if moves else self._folded, self._found, last, self._code)
+        self._drop(start)
         self._origin_us = origin_us
         self._locks += 1
         return True

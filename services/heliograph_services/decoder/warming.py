@@ -6,7 +6,7 @@ import numpy as np
 
 from heliograph.core import Context
 from heliograph.events import EventBatch
-from heliograph.link import text_receiver
+from heliograph.link import text_receiver, trial
 from heliograph.messages import Tracks
 from heliograph.streams import Events
 from heliograph_services.decoder.config import DecoderConfig
@@ -21,6 +21,7 @@ def warm_all() -> None:
     receiver of text compiles behind its lock would else stall the first beacon of a site.
     """
     text_receiver.warm()
+    trial.warm()
     _tiles()
     core = DecoderCore(DecoderConfig(protocol="auto"), Context(instance="warm", boot="0", lockstep=False))
     for k in range(40):
