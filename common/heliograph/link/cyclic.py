@@ -63,6 +63,7 @@ class CyclicReceiver:
         self._since_us: int | None = None  # the first event; later, where the last lock was lost
         self._block = 0  # number of the next block on the absolute grid
         self._part = 0  # parts of it that have been looked at
+        self._dark = 0  # blocks before it without events
         # Of events, and of the edges of the level that they show.
         self._sums = np.zeros((2, clock.LONG_BLOCKS, 4 * clock.BLOCK_OFFSETS + 1))
         self._level_t = np.zeros((clock.LONG_BLOCKS, 4 * clock.BLOCK_BITS))
@@ -149,6 +150,7 @@ class CyclicReceiver:
             if first >= self._block + clock.LONG_BLOCKS or first < self._block - clock.LONG_BLOCKS:
                 self._block = first
                 self._clear()
+                self._dark = clock.SHORT_BLOCKS
             if (self._block + (self._part + 1) / PARTS) * block_us > until_us:
                 break
             self._part += 1
@@ -160,6 +162,7 @@ class CyclicReceiver:
 
     def _clear(self) -> None:
         """Forget the blocks that were summed."""
+        self._dark = 0
         self._part = 0
         self._sums[:] = 0.0
         self._level_n = [0] * clock.LONG_BLOCKS
@@ -175,6 +178,13 @@ class CyclicReceiver:
         self._part = 0
         t: clock.Floats = np.asarray((self._held_t[start:stop] - begin_us) / self._bit_us, np.float64)
         self._take_block(t, self._held_on[start:stop])
+        if stop == start:
+            self._dark += 1
+        else:
+            if self._dark >= clock.SHORT_BLOCKS:
+                # What comes out of the dark is young.
+                self._since_us = int(self._held_t[start])
+            self._dark = 0
         since_us = self._since_us or 0
         if stop > start and self._try(self._sums, end_us, end_us, block_us):
             return True
@@ -222,12 +232,15 @@ class CyclicReceiver:
         return self._needed * self._code.bits * self._bit_us <= end_us - since_us < clock.LONG_BLOCKS * block_us
 
     def _try(self, sums: clock.Floats, end_us: float, blocks_end_us: float, block_us: float) -> bool:
-        """Lock to a likely clock of a young track, in a short window or in all since it began, if its code repeats."""
-        if not self._young(end_us, block_us):
-            return False
+        """Lock to a likely clock, in a short window or in all since a young track began, if its code repeats."""
         since_us = self._since_us or 0
-        all_blocks = min(int(np.ceil((blocks_end_us - since_us) / block_us)), clock.LONG_BLOCKS)
-        for blocks in dict.fromkeys((min(clock.SHORT_BLOCKS, all_blocks), all_blocks)):
+        if end_us - since_us < self._needed * self._code.bits * self._bit_us:
+            return False
+        all_blocks = int(np.ceil((blocks_end_us - since_us) / block_us))
+        windows = [min(clock.SHORT_BLOCKS, all_blocks)]
+        if windows[0] < all_blocks and self._young(end_us, block_us):
+            windows.append(min(all_blocks, clock.LONG_BLOCKS))
+        for blocks in windows:
             f, z = clock.peak(sums[0, -blocks:])
             if z < trial.THRESHOLD:
                 continue
