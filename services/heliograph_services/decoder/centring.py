@@ -8,11 +8,15 @@ n >= 2 e + 3 sqrt(e); else it is forgotten after `HOLD_US`::
     S = P_xx + R,   |z| at most 5 sqrt(S),   c += P_xx z / S,   v += P_xv z / S
     u = (z_x^2 + z_y^2) / 2 S,   q <- q exp(eta (min(u, u_max) - 1))
 
+    w += (v x v') / (|v|^2 max(tau, t)), 0 below v_0        v before, v' after, t since the correction before
+
 rho is the target's radius. The last line keeps the filter as nimble as its target: residuals larger than their
 expected size are an acceleration that was not allowed for. An LED that rests or goes straight is averaged over many
 edges; one that turns at 20,000 px/s2 is followed edge by edge. The mean is trimmed by a fifth at both ends of each
 axis, so that a neighbour's edge cannot pull, while the two crescents of a moving lit disc still balance (a median
-would jump from one to the other). A pixel counts at most `PIXEL_LIMIT` times a step, and one alone is no measurement:
+would jump from one to the other). The turn rate w carries a region round its curve where it hears nothing of its own,
+or shares what it hears with another: it is learned from what is its alone, and forgotten after `ALIVE_US` of silence. A
+pixel counts at most `PIXEL_LIMIT` times a step, and one alone is no measurement:
 a hot one cannot pull.
 """
 
@@ -35,6 +39,8 @@ from heliograph_services.decoder.region_state import (
     REACH,
     SHARED,
     SPEED_LIMIT_PX_S,
+    TURN,
+    US_PER_S,
     VX,
     VY,
     Counts,
@@ -67,6 +73,12 @@ SIGMAS_LIMIT: Final = 5.0
 # A quarter of a pixel: below the centroid's own noise.
 BINS_PER_PX: Final = 4
 SHARED_VARIANCE: Final = 10.0
+# tau and v_0. Five windows of a tracker's, for the same reason as its: an edge a millisecond, each with its own error.
+TURN_S: Final = 0.025
+# Slower ones turn little in the 50 ms of a crossing, and their errors would make turns that are not there.
+TURN_LEAST_PX_S: Final = 300.0
+# 2,000 px/s on a circle of 40 px.
+TURN_MOST_RAD_S: Final = 50.0
 # A region that has not been centred for so long follows nothing that could be confused.
 ALIVE_US: Final = 30_000
 
@@ -115,8 +127,19 @@ def half_bins(reach: float, bins: int) -> int:
 
 
 @part
-def correct(state: Floats, i: int, zx: float, zy: float, variance: float) -> None:
-    """Let a measurement correct region i: residuals in px, their variance in px2."""
+def turn(state: Floats, i: int, vx: float, vy: float, since_s: float) -> None:
+    """Correct the turn rate of region i, whose velocity was (vx, vy) before its correction."""
+    speed2 = vx * vx + vy * vy
+    if speed2 < TURN_LEAST_PX_S * TURN_LEAST_PX_S:
+        state[TURN, i] = 0.0
+        return
+    change = (vx * state[VY, i] - vy * state[VX, i]) / (speed2 * max(TURN_S, since_s))
+    state[TURN, i] = min(max(state[TURN, i] + change, -TURN_MOST_RAD_S), TURN_MOST_RAD_S)
+
+
+@part
+def correct(state: Floats, i: int, zx: float, zy: float, variance: float, since_s: float) -> None:
+    """Let a measurement correct region i: residuals in px, their variance in px2, the time since the one before."""
     if state[SHARED, i]:
         variance *= SHARED_VARIANCE
     size = state[P_XX, i] + variance
@@ -127,6 +150,7 @@ def correct(state: Floats, i: int, zx: float, zy: float, variance: float) -> Non
         zx *= limit / away
         zy *= limit / away
     gx, gv = state[P_XX, i] / size, state[P_XV, i] / size
+    vx, vy = state[VX, i], state[VY, i]
     state[X, i] += gx * zx
     state[Y, i] += gx * zy
     state[VX, i] = min(max(state[VX, i] + gv * zx, -SPEED_LIMIT_PX_S), SPEED_LIMIT_PX_S)
@@ -135,11 +159,12 @@ def correct(state: Floats, i: int, zx: float, zy: float, variance: float) -> Non
     state[P_XV, i] *= 1.0 - gx
     state[P_XX, i] *= 1.0 - gx
     if not state[SHARED, i]:
+        turn(state, i, vx, vy, since_s)
         state[Q, i] = min(max(state[Q, i] * math.exp(ETA * (min(surprise, U_MAX) - 1.0)), Q_MIN), Q_MAX)
 
 
 @part
-def centre(state: Floats, i: int, heard: Ints, counts: Counts, noise: float) -> bool:
+def centre(state: Floats, i: int, heard: Ints, counts: Counts, noise: float, since_s: float) -> bool:
     """Correct region i if what it has heard is a measurement; return whether it was.
 
     Args:
@@ -148,6 +173,7 @@ def centre(state: Floats, i: int, heard: Ints, counts: Counts, noise: float) -> 
         heard: (HEARD_ROWS, capacity).
         counts: (2, bins): its residuals by quarter pixel.
         noise: events of the surrounding noise to be expected among them.
+        since_s: how long ago it was corrected.
     """
     n = heard[EVENTS, i]
     if n < MIN_EVENTS or heard[PIXELS, i] < MIN_PIXELS or n < 2.0 * noise + 3.0 * math.sqrt(noise):
@@ -157,7 +183,7 @@ def centre(state: Floats, i: int, heard: Ints, counts: Counts, noise: float) -> 
     zx = trimmed_mean(counts[0], n, half) / signal
     zy = trimmed_mean(counts[1], n, half) / signal
     spread = state[RADIUS, i] * state[RADIUS, i] / 4.0 + 1.0 / 12.0
-    correct(state, i, zx, zy, 2.0 * spread / n / (signal * signal) + R_0)
+    correct(state, i, zx, zy, 2.0 * spread / n / (signal * signal) + R_0, since_s)
     return True
 
 
@@ -175,13 +201,15 @@ def settle(
 ) -> None:
     """Centre the regions that have heard enough, and forget what has led to nothing; arguments as of `follow`."""
     for i in range(n):
+        if now_us - centred_us[i] > ALIVE_US:
+            state[TURN, i] = 0.0
         if heard[EVENTS, i] == 0:
             continue
         heard[FIRST, i] = 0
         heard[AGE_US, i] += step_us
         reach = shown_px(state, i)
         noise = noise_per_px_us * heard[AGE_US, i] * math.pi * reach * reach
-        done = self_centring and centre(state, i, heard, counts[i], noise)
+        done = self_centring and centre(state, i, heard, counts[i], noise, (now_us - centred_us[i]) / US_PER_S)
         if done:
             centred_us[i] = now_us
         if done or heard[AGE_US, i] >= HOLD_US:

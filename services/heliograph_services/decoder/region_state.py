@@ -5,7 +5,8 @@ acceleration of intensity q::
 
     c += v T,   P <- F P F' + q [T^3/3, T^2/2; T^2/2, T]            F = [1, T; 0, 1]
 
-What is heard corrects it (heliograph_services.decoder.centring). A region that is not centred grows as its uncertainty
+and what is fast goes round a curve: its velocity v turns by w T, and c moves along the chord of that arc. What is heard
+corrects c, v and w (heliograph_services.decoder.centring). A region that is not centred grows as its uncertainty
 does, s = r + max(0, 3 sqrt(P_xx) - GROW_FROM_PX), up to `GROW_LIMIT_PX`: so it hears its target again behind an
 occlusion.
 """
@@ -40,7 +41,8 @@ Q: Final = 9
 SHARED: Final = 10  # 1 where another region that follows its target overlaps with it
 RANK: Final = 11  # 1 where frames are being read, else 0
 CORE: Final = 12  # m, px
-ROWS: Final = 13
+TURN: Final = 13  # w, rad/s
+ROWS: Final = 14
 # Rows of what the regions have heard since they were centred last: a column a track.
 EVENTS: Final = 0
 PIXELS: Final = 1  # sum over the steps of distinct pixels less one
@@ -98,8 +100,15 @@ def carry(state: Floats, n: int, us: float) -> None:
     """Predict all regions by so many microseconds."""
     s = us / US_PER_S
     for i in range(n):
-        state[X, i] = min(max(state[X, i] + state[VX, i] * s, -PLACE_LIMIT_PX), PLACE_LIMIT_PX)
-        state[Y, i] = min(max(state[Y, i] + state[VY, i] * s, -PLACE_LIMIT_PX), PLACE_LIMIT_PX)
+        vx, vy = state[VX, i], state[VY, i]
+        if state[TURN, i] != 0.0:
+            # The arc's chord has the direction of its middle; it is shorter by a thousandth where an arc is .15 rad.
+            half = 0.5 * state[TURN, i] * s
+            cos, sin = math.cos(half), math.sin(half)
+            vx, vy = cos * vx - sin * vy, sin * vx + cos * vy
+            state[VX, i], state[VY, i] = cos * vx - sin * vy, sin * vx + cos * vy
+        state[X, i] = min(max(state[X, i] + vx * s, -PLACE_LIMIT_PX), PLACE_LIMIT_PX)
+        state[Y, i] = min(max(state[Y, i] + vy * s, -PLACE_LIMIT_PX), PLACE_LIMIT_PX)
         q = min(state[Q, i], Q_SHARED) if state[SHARED, i] else state[Q, i]
         xx = state[P_XX, i] + s * (2.0 * state[P_XV, i] + s * state[P_VV, i]) + q * s * s * s / 3.0
         xv = state[P_XV, i] + s * state[P_VV, i] + q * s * s / 2.0
