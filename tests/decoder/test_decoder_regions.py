@@ -128,7 +128,7 @@ def test_prediction_and_correction_are_those_of_filterpy() -> None:
             one.Q = q * np.array([[s**3 / 3, s**2 / 2], [s**2 / 2, s]])
             one.predict()
         surprise = (z @ z) / (2 * (state[6, 0] + variance))
-        correct(state, 0, z[0], z[1], variance)
+        correct(state, 0, z[0], z[1], variance, s)
         x_filter.update(x_filter.x[0, 0] + z[0], R=variance)
         y_filter.update(y_filter.x[0, 0] + z[1], R=variance)
         assert surprise < 12.5  # beyond it a residual is cut short

@@ -8,7 +8,7 @@ n >= 2 e + 3 sqrt(e); else it is forgotten after `HOLD_US`::
     S = P_xx + R,   |z| at most 5 sqrt(S),   c += P_xx z / S,   v += P_xv z / S
     u = (z_x^2 + z_y^2) / 2 S,   q <- q exp(eta (min(u, u_max) - 1))
 
-    w += (v x v') / (|v|^2 max(tau, t)), 0 below v_0        v before, v' after, t since the correction before
+    w += (v x v') / (|v|^2 tau), 0 below v_0               v before, v' after
 
 rho is the target's radius. The last line keeps the filter as nimble as its target: residuals larger than their
 expected size are an acceleration that was not allowed for. An LED that rests or goes straight is averaged over many
@@ -73,8 +73,11 @@ SIGMAS_LIMIT: Final = 5.0
 # A quarter of a pixel: below the centroid's own noise.
 BINS_PER_PX: Final = 4
 SHARED_VARIANCE: Final = 10.0
-# tau and v_0. Five windows of a tracker's, for the same reason as its: an edge a millisecond, each with its own error.
+# Least tau: five windows of a tracker's, for the same reason as its.
 TURN_S: Final = 0.025
+# Of the filter's time constant 1 / sqrt(K_v), K_v = P_xv / (S t). Routh's condition for the two loops together asks for
+# more than .7; below it, what is calm and goes straight would swing.
+TURN_CONSTANTS: Final = 3.0
 # Slower ones turn little in the 50 ms of a crossing, and their errors would make turns that are not there.
 TURN_LEAST_PX_S: Final = 300.0
 # 2,000 px/s on a circle of 40 px.
@@ -127,13 +130,14 @@ def half_bins(reach: float, bins: int) -> int:
 
 
 @part
-def turn(state: Floats, i: int, vx: float, vy: float, since_s: float) -> None:
-    """Correct the turn rate of region i, whose velocity was (vx, vy) before its correction."""
+def turn(state: Floats, i: int, vx: float, vy: float, gain_v: float, since_s: float) -> None:
+    """Correct the turn rate of region i, whose velocity was (vx, vy) before its correction by gain_v z."""
     speed2 = vx * vx + vy * vy
-    if speed2 < TURN_LEAST_PX_S * TURN_LEAST_PX_S:
+    if speed2 < TURN_LEAST_PX_S * TURN_LEAST_PX_S or gain_v <= 0.0:
         state[TURN, i] = 0.0
         return
-    change = (vx * state[VY, i] - vy * state[VX, i]) / (speed2 * max(TURN_S, since_s))
+    tau_s = max(TURN_S, since_s, TURN_CONSTANTS * math.sqrt(since_s / gain_v))
+    change = (vx * state[VY, i] - vy * state[VX, i]) / (speed2 * tau_s)
     state[TURN, i] = min(max(state[TURN, i] + change, -TURN_MOST_RAD_S), TURN_MOST_RAD_S)
 
 
@@ -159,7 +163,7 @@ def correct(state: Floats, i: int, zx: float, zy: float, variance: float, since_
     state[P_XV, i] *= 1.0 - gx
     state[P_XX, i] *= 1.0 - gx
     if not state[SHARED, i]:
-        turn(state, i, vx, vy, since_s)
+        turn(state, i, vx, vy, gv, since_s)
         state[Q, i] = min(max(state[Q, i] * math.exp(ETA * (min(surprise, U_MAX) - 1.0)), Q_MIN), Q_MAX)
 
 
