@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from heliograph.errors import Refusals
 from heliograph.events import EventBatch
 from heliograph_services.decoder.centring import BINS_PER_PX, ETA, Q_MIN, R_0, TRIM, correct, trimmed_mean
-from heliograph_services.decoder.region_state import NEVER, Q, carry
+from heliograph_services.decoder.region_state import NEVER, TURN, VX, VY, Q, X, Y, carry
 from heliograph_services.decoder.regions import Doubt, Place, Regions, column
 from heliograph_services.decoder.routing import CORE_OF, HEART_OF
 from support.blinkers import Disc, Path, scene, straight
@@ -136,6 +136,23 @@ def test_prediction_and_correction_are_those_of_filterpy() -> None:
         assert state[[1, 3], 0] == pytest.approx(y_filter.x[:, 0])
         assert state[[6, 7, 8], 0] == pytest.approx(x_filter.P[[0, 0, 1], [0, 1, 1]])
         assert state[Q, 0] == pytest.approx(max(q * np.exp(ETA * (min(surprise, 9.0) - 1)), Q_MIN))
+
+
+def test_a_region_that_hears_nothing_for_50_ms_is_carried_round_its_circle() -> None:
+    speed, radius, noise_px = 1_000.0, 80.0, 0.1
+    rng = np.random.default_rng(5)
+    state = column(Place(0.0, -radius, speed, 0.0, 7.0), 3.0, Doubt(0.1, 0.0, 400.0))[:, None]
+    for step in range(1, 201):
+        angle = speed / radius * step * 1e-3
+        carry(state, 1, 1_000.0)
+        z = radius * np.array([np.sin(angle), -np.cos(angle)]) - state[[X, Y], 0] + rng.normal(0, noise_px, 2)
+        correct(state, 0, z[0], z[1], noise_px**2, 1e-3)
+    assert state[TURN, 0] == pytest.approx(speed / radius, rel=0.2)
+    carry(state, 1, 50_000.0)
+    angle = speed / radius * 0.25
+    assert np.hypot(*(radius * np.array([np.sin(angle), -np.cos(angle)]) - state[[X, Y], 0])) < 5.0
+    # Straight on it would be 15 px away.
+    assert state[[VX, VY], 0] == pytest.approx([speed * np.cos(angle), speed * np.sin(angle)], abs=150.0)
 
 
 def column_of(x_px: int, rows: int, t0_us: int, times: int) -> EventBatch:
