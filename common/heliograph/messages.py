@@ -180,6 +180,8 @@ class Frames(Message, frozen=True, kw_only=True):
 class Identification(Message, frozen=True, kw_only=True):
     """A track's beacon: a state, sent on acceptance, change and loss, and refreshed at 10 Hz between.
 
+    It is not refreshed while the track's region may follow another light: when a frame of another payload, or none of
+    its own for three frames, has been read there.
     `beacon` is the name from the site file; a beacon that the site does not list is called PROTOCOL:PAYLOAD.
     `payload` is None where identity is not in the bits (text). `bearing` is a unit vector in the camera's frame.
     `margin` is the log-likelihood distance to the runner-up, `frames_used` the frames it rests on.
