@@ -1,7 +1,8 @@
 """The default receiver of every cyclic code: one track's events in, frames decided on their own bits out.
 
-It waits for a clock (`heliograph.link.clock`, at every 16 bits of an absolute grid), then takes the
-events of that window again and goes on with `heliograph.link.demodulator`, so a cold start costs no frame. When the
+It waits for a clock (`heliograph.link.clock`, at every 16 bits of an absolute grid; a likely one is tried, of a young
+track at every 8 bits and over all that it has shown: `heliograph.link.trial`), then takes the events of that window
+again and goes on with `heliograph.link.demodulator`, so a cold start costs no frame. When the
 clock is lost it waits again. No stage knows anything but the events, the nominal bit rate and the words of the code.
 """
 
