@@ -1,16 +1,19 @@
 """The kernels that let a region's own events say where its target is.
 
-A region is a Kalman filter (heliograph_services.decoder.region_state). What it has heard since it was centred last is a
-measurement as soon as it holds n >= n_min events on enough distinct pixels and stands out from the surrounding noise,
-n >= 2 e + 3 sqrt(e); else it is forgotten after `HOLD_US`::
+A region is a Kalman filter (heliograph_services.decoder.region_state). What it has heard within its gate since it was
+centred last is a measurement as soon as it holds n >= n_min events on enough distinct pixels and stands out from the
+surrounding noise, n >= 2 e + 3 sqrt(e); else it is forgotten after `HOLD_US`::
 
-    z = trimmed mean of (event - c(t)) / (1 - e / n),   R = 2 (rho^2 / 4 + 1/12) / n + R_0
+    z = trimmed mean of (event - c(t)) / (1 - e / n),   R = 2 (min(m^2 / 2, rho^2 / 4) + 1/12) / n + R_0
     S = P_xx + R,   |z| at most 5 sqrt(S),   c += P_xx z / S,   v += P_xv z / S
     u = (z_x^2 + z_y^2) / 2 S,   q <- q exp(eta (min(u, u_max) - 1))
 
     w += (v x v') / (|v|^2 tau), 0 below v_0               v before, v' after
 
-rho is the target's radius. The last line keeps the filter as nimble as its target: residuals larger than their
+m is the median distance of the events (heliograph_services.decoder.routing), rho the target's radius as it is told.
+What lies about a centre at the distance m varies by m^2 / 2 on each axis; a region that is off its target finds too
+large an m, hence the other bound. The last line but one keeps the filter as nimble as its
+target: residuals larger than their
 expected size are an acceleration that was not allowed for. An LED that rests or goes straight is averaged over many
 edges; one that turns at 20,000 px/s2 is followed edge by edge. The mean is trimmed by a fifth at both ends of each
 axis, so that a neighbour's edge cannot pull, while the two crescents of a moving lit disc still balance (a median
@@ -27,6 +30,7 @@ from typing import Final
 
 from heliograph_services.decoder.region_state import (
     AGE_US,
+    CORE,
     EVENTS,
     FIRST,
     GROW_LIMIT_PX,
@@ -49,6 +53,7 @@ from heliograph_services.decoder.region_state import (
     Q,
     X,
     Y,
+    gate_px,
     part,
     shown_px,
 )
@@ -62,9 +67,10 @@ TRIM: Final = 0.2
 HOLD_US: Final = 5_000
 # A sixth of a pixel, squared: what pixels, late OFF events and half-lit crescents leave of a mean over many events.
 R_0: Final = 0.05
-# The filter's bandwidth is about (q / (R T))^(1/4): with R T = .03 px2 x 2 ms from 11 to 640 rad/s. Below, a filter
-# forgets more slowly than its tracker's 10 Hz; above, it is the last edge alone.
-Q_MIN: Final = 1.0
+# The filter's bandwidth is about (q / (R T))^(1/4): with R T = .03 px2 x 2 ms from 64 to 640 rad/s. From one
+# millisecond to the next no acceleration is seen, and q falls; but in five dark bits at 50 bit/s a flying camera's
+# 500 px/s2 are 2.5 px, for which this allows 1.7 px (three standard errors).
+Q_MIN: Final = 1e3
 Q_MAX: Final = 1e7
 # After ten edges of the expected size nothing is left of a turn; the first edge of one raises q fivefold at most.
 ETA: Final = 0.2
@@ -186,7 +192,7 @@ def centre(state: Floats, i: int, heard: Ints, counts: Counts, noise: float, sin
     signal = 1.0 - noise / n
     zx = trimmed_mean(counts[0], n, half) / signal
     zy = trimmed_mean(counts[1], n, half) / signal
-    spread = state[RADIUS, i] * state[RADIUS, i] / 4.0 + 1.0 / 12.0
+    spread = min(state[CORE, i] ** 2 / 2.0, state[RADIUS, i] ** 2 / 4.0) + 1.0 / 12.0
     correct(state, i, zx, zy, 2.0 * spread / n / (signal * signal) + R_0, since_s)
     return True
 
@@ -211,7 +217,7 @@ def settle(
             continue
         heard[FIRST, i] = 0
         heard[AGE_US, i] += step_us
-        reach = shown_px(state, i)
+        reach = min(gate_px(state, i), shown_px(state, i))
         noise = noise_per_px_us * heard[AGE_US, i] * math.pi * reach * reach
         done = self_centring and centre(state, i, heard, counts[i], noise, (now_us - centred_us[i]) / US_PER_S)
         if done:

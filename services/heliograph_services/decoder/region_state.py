@@ -8,7 +8,12 @@ acceleration of intensity q::
 and what is fast goes round a curve: its velocity v turns by w T, and c moves along the chord of that arc. What is heard
 corrects c, v and w (heliograph_services.decoder.centring). A region that is not centred grows as its uncertainty
 does, s = r + max(0, 3 sqrt(P_xx) - GROW_FROM_PX), up to `GROW_LIMIT_PX`: so it hears its target again behind an
-occlusion.
+occlusion. Of what it hears it takes for its target's what lies within the gate ::
+
+    |event - c(t)| <= GATE_SHARE m + GATE_MARGIN_PX + GATE_SIGMAS sqrt(P_xx)
+
+with m the median distance of its target's events. A light that is dark for five bits makes no events; the ground beside
+it does, and would draw the region away.
 """
 
 from __future__ import annotations
@@ -57,6 +62,17 @@ Q_SHARED: Final = 1e3
 GROW_FROM_PX: Final = 2.0
 # Half a second of a walking pace's changes of mind; more would hear its neighbours.
 GROW_LIMIT_PX: Final = 8.0
+# What is fast must turn to stay in the image: the acceleration v^2 / 600 px held for .1 s is allowed from the beginning,
+# 2 s^2 tau. 200 px/s ask for no more than the least q, 1,000 px/s for 5.5e5 px2/s3.
+TURN_RADIUS_PX: Final = 600.0
+TURN_S: Final = 0.1
+Q_TURN_MAX: Final = 1e7
+# An even disc has m = .71 of its radius, so that its rim is within the gate; and a gate that is too small grows, since
+# half of an even disc's events lie beyond .71 of what is looked at. What is 2 m away is the ground's. The margin is a
+# pixel's own extent.
+GATE_SHARE: Final = 1.5
+GATE_MARGIN_PX: Final = 0.5
+GATE_SIGMAS: Final = 3.0
 # Uncertainty beyond a sensor's width, or beyond any speed, says no more.
 P_XX_LIMIT: Final = 1e6
 P_VV_LIMIT: Final = 1e9
@@ -95,6 +111,13 @@ def shown_px(state: Floats, i: int) -> float:
     return reach
 
 
+@part
+def gate_px(state: Floats, i: int) -> float:
+    """Return how far from its centre region i takes events for its target's."""
+    gate: float = GATE_SHARE * state[CORE, i] + GATE_MARGIN_PX + GATE_SIGMAS * math.sqrt(state[P_XX, i])
+    return gate
+
+
 @kernel
 def carry(state: Floats, n: int, us: float) -> None:
     """Predict all regions by so many microseconds."""
@@ -109,7 +132,9 @@ def carry(state: Floats, n: int, us: float) -> None:
             state[VX, i], state[VY, i] = cos * vx - sin * vy, sin * vx + cos * vy
         state[X, i] = min(max(state[X, i] + vx * s, -PLACE_LIMIT_PX), PLACE_LIMIT_PX)
         state[Y, i] = min(max(state[Y, i] + vy * s, -PLACE_LIMIT_PX), PLACE_LIMIT_PX)
-        q = min(state[Q, i], Q_SHARED) if state[SHARED, i] else state[Q, i]
+        turn_px_s2 = (state[VX, i] * state[VX, i] + state[VY, i] * state[VY, i]) / TURN_RADIUS_PX
+        q = max(state[Q, i], min(2.0 * TURN_S * turn_px_s2 * turn_px_s2, Q_TURN_MAX))
+        q = min(q, Q_SHARED) if state[SHARED, i] else q
         xx = state[P_XX, i] + s * (2.0 * state[P_XV, i] + s * state[P_VV, i]) + q * s * s * s / 3.0
         xv = state[P_XV, i] + s * state[P_VV, i] + q * s * s / 2.0
         state[P_XX, i] = min(max(xx, 0.0), P_XX_LIMIT)

@@ -16,9 +16,9 @@ An event lies in the *core* of its region's image if::
 
     |event - c(t)| <= max(m + CORE_MARGIN_PX, CORE_LEAST_PX) + max(0, s - r)
 
-m is the median distance of the region's own events, learned one by one, m += CORE_STEP_PX sign(|event - c(t)| - m).
-Half of the events at least are in the core, whatever the target's size. Those outside come from the halo: edges of
-little contrast, which cross a pixel's threshold late. The *heart* is smaller::
+m is the median distance of the events within the region's gate (heliograph_services.decoder.region_state), learned one
+by one, m += CORE_STEP_PX sign(|event - c(t)| - m). Half of them at least are in the core, whatever the target's size.
+Those outside come from the halo: edges of little contrast, which cross a pixel's threshold late. The *heart* is smaller::
 
     |event - c(t)| <= max(HEART_SHARE m + HEART_MARGIN_PX, HEART_LEAST_PX) + sqrt(P_xx) + max(0, s - r)
 
@@ -58,6 +58,7 @@ from heliograph_services.decoder.region_state import (
     X,
     Y,
     carry,
+    gate_px,
     grown_px,
     part,
     shown_px,
@@ -190,6 +191,8 @@ def look_up(
         else:
             hit_depth[hits] = CORE_OF if beyond <= max(state[CORE, i] + CORE_MARGIN_PX, CORE_LEAST_PX) else 0
         hits += 1
+        if away > gate_px(state, i):
+            continue
         if away <= state[REACH, i]:
             state[CORE, i] += CORE_STEP_PX if away > state[CORE, i] else -CORE_STEP_PX
         times = seen[y, x]
