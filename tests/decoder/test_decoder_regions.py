@@ -11,7 +11,19 @@ from hypothesis import strategies as st
 from heliograph.errors import Refusals
 from heliograph.events import EventBatch
 from heliograph_services.decoder.centring import BINS_PER_PX, ETA, Q_MIN, R_0, TRIM, correct, trimmed_mean
-from heliograph_services.decoder.region_state import CORE, GATE_MARGIN_PX, GATE_SHARE, NEVER, TURN, VX, VY, Q, X, Y, carry
+from heliograph_services.decoder.region_state import (
+    CORE,
+    GATE_MARGIN_PX,
+    GATE_SHARE,
+    NEVER,
+    TURN,
+    VX,
+    VY,
+    Q,
+    X,
+    Y,
+    carry,
+)
 from heliograph_services.decoder.regions import Doubt, Place, Regions, column
 from heliograph_services.decoder.routing import CORE_OF, HEART_OF
 from support.blinkers import Disc, Path, scene, straight

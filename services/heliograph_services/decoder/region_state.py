@@ -1,7 +1,7 @@
 """The state of the regions, a column a track, and what time does to it.
 
 Each axis of a region is a Kalman filter of position and velocity, one covariance P for both axes, driven by white
-acceleration of intensity q::
+acceleration of intensity q, at least that of what turns within TURN_RADIUS_PX::
 
     c += v T,   P <- F P F' + q [T^3/3, T^2/2; T^2/2, T]            F = [1, T; 0, 1]
 
@@ -62,8 +62,8 @@ Q_SHARED: Final = 1e3
 GROW_FROM_PX: Final = 2.0
 # Half a second of a walking pace's changes of mind; more would hear its neighbours.
 GROW_LIMIT_PX: Final = 8.0
-# What is fast must turn to stay in the image: the acceleration v^2 / 600 px held for .1 s is allowed from the beginning,
-# 2 s^2 tau. 200 px/s ask for no more than the least q, 1,000 px/s for 5.5e5 px2/s3.
+# What is fast must turn to stay in the image: s = v^2 / 600 px held for tau = .1 s is allowed from the beginning,
+# q = 2 s^2 tau. 200 px/s ask for no more than the least q, 1,000 px/s for 5.5e5 px2/s3.
 TURN_RADIUS_PX: Final = 600.0
 TURN_S: Final = 0.1
 Q_TURN_MAX: Final = 1e7

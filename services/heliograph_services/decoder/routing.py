@@ -18,7 +18,8 @@ An event lies in the *core* of its region's image if::
 
 m is the median distance of the events within the region's gate (heliograph_services.decoder.region_state), learned one
 by one, m += CORE_STEP_PX sign(|event - c(t)| - m). Half of them at least are in the core, whatever the target's size.
-Those outside come from the halo: edges of little contrast, which cross a pixel's threshold late. The *heart* is smaller::
+Those outside come from the halo: edges of little contrast, which cross a pixel's threshold late. The *heart* is
+smaller::
 
     |event - c(t)| <= max(HEART_SHARE m + HEART_MARGIN_PX, HEART_LEAST_PX) + sqrt(P_xx) + max(0, s - r)
 
