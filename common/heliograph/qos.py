@@ -6,6 +6,7 @@ nothing may be lost, goes by `progress` (one window in flight), not by back-pres
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -21,16 +22,20 @@ class Profile:
         reliable: retransmitted by the transport.
         express: sent at once, not batched with others.
         history: how many last messages a key the publisher keeps for late and cut-off readers; 0 for none.
+        kept_s: how long a key of which nothing is heard any more keeps its publisher, and so its history.
     """
 
     priority: Priority
     reliable: bool = True
     express: bool = False
     history: int = 0
+    kept_s: float = math.inf
 
 
 _STATE_HISTORY: Final = 512  # 51 s of a track at 10 Hz: a reader that was cut off for less misses nothing
 _TEXT_HISTORY: Final = 1024
+# A track's keys are used once: what a minute has not brought back is over, and would fill the memory for nothing.
+_TRACK_KEPT_S: Final = 60.0
 PROFILES: Final[dict[str, Profile]] = {
     "events": Profile("data_low"),
     "onsets": Profile("data"),
@@ -41,9 +46,9 @@ PROFILES: Final[dict[str, Profile]] = {
     "truth": Profile("background"),
     "clock": Profile("data"),
     "frames": Profile("data"),
-    "ids": Profile("interactive_high", history=_STATE_HISTORY),
+    "ids": Profile("interactive_high", history=_STATE_HISTORY, kept_s=_TRACK_KEPT_S),
     "messages": Profile("interactive_high", history=_TEXT_HISTORY),
-    "link": Profile("data"),
+    "link": Profile("data", kept_s=_TRACK_KEPT_S),
     "progress": Profile("data_high", express=True),
     "beacon": Profile("interactive_high", history=1),
     "metrics": Profile("background"),

@@ -15,6 +15,7 @@ import time
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any, Final
 
 import zenoh
@@ -36,7 +37,7 @@ _QUEUE_LIMIT: Final = 4096
 _EVENTS_QUEUE_LIMIT: Final = 500
 # Zenoh's own channel between its network thread and our reader; a full one would block the link (all keys).
 _CHANNEL: Final = 8192
-# A state's key lives as long as its track; the oldest give way, with their history.
+# Keys whose time is not bounded (`qos.Profile.kept_s`), or a flood: the oldest give way, with their history.
 _PUBLISHERS_LIMIT: Final = 512
 # Senders whose numbering is followed; a flood of invented senders must not fill the memory.
 _SENDERS_LIMIT: Final = 1024
@@ -111,6 +112,15 @@ class Gaps:
         return missing
 
 
+@dataclass(slots=True)
+class _Publisher:
+    """A declared key, how long it is kept unused, and when it was used last (monotonic)."""
+
+    zenoh: Any
+    kept_s: float
+    used_s: float = 0.0
+
+
 class Bus:
     """One process on the bus of a site.
 
@@ -132,7 +142,7 @@ class Bus:
         self._session = session
         self._source = source
         self._seq: OrderedDict[str, int] = OrderedDict()
-        self._publishers: OrderedDict[str, Any] = OrderedDict()
+        self._publishers: OrderedDict[str, _Publisher] = OrderedDict()
         self._held: list[Any] = []
         self._readers: list[threading.Thread] = []
         self._lock = threading.Lock()
@@ -141,6 +151,7 @@ class Bus:
     def publish(self, message: Message) -> None:
         """Send a record on its key; never blocks, never fails on a closed link."""
         key_text = key_of(self.site, message)
+        mono_ns = time.monotonic_ns()
         with self._lock:
             seq = self._seq.pop(key_text, 0)
             self._seq[key_text] = seq + 1
@@ -149,24 +160,31 @@ class Bus:
                 source=self._source,
                 boot=self.boot,
                 seq=seq,
-                mono_ns=time.monotonic_ns(),
+                mono_ns=mono_ns,
                 wall_ns=time.time_ns(),
             )
             payload = pack(header, message)
-            self._publisher(key_text, message).put(payload)
+            self._publisher(key_text, message, mono_ns / 1e9).put(payload)
             self.published[message.SCHEMA] += 1
             self.bytes_out += len(payload)
 
-    def _publisher(self, key_text: str, message: Message) -> Any:
+    def _publisher(self, key_text: str, message: Message, now_s: float) -> Any:
         publisher = self._publishers.pop(key_text, None)
         if publisher is None:
-            publisher = _declare(self._session, key_text, PROFILES[message.SCHEMA], encoding_of(message))
+            self._retire(now_s)
+            profile = PROFILES[message.SCHEMA]
+            publisher = _Publisher(_declare(self._session, key_text, profile, encoding_of(message)), profile.kept_s)
+        publisher.used_s = now_s
         self._publishers[key_text] = publisher
-        if len(self._publishers) > _PUBLISHERS_LIMIT:
-            oldest, gone = self._publishers.popitem(last=False)
-            self._seq.pop(oldest, None)
-            gone.undeclare()
-        return publisher
+        return publisher.zenoh
+
+    def _retire(self, now_s: float) -> None:
+        """Let go of keys that are over, and of the oldest where there are too many."""
+        over = [text for text, held in self._publishers.items() if now_s - held.used_s > held.kept_s]
+        over += list(self._publishers)[: max(0, len(self._publishers) + 1 - _PUBLISHERS_LIMIT)]
+        for key_text in dict.fromkeys(over):
+            self._seq.pop(key_text, None)
+            self._publishers.pop(key_text).zenoh.undeclare()
 
     def announce(self, service: str, instance: str) -> None:
         """Say that this process is present and warm; withdrawn when the session ends."""
@@ -248,7 +266,7 @@ class Bus:
 
         A thread that is still within Zenoh when the interpreter goes aborts the process ("exception not rethrown").
         """
-        for held in (*self._held, *self._publishers.values()):
+        for held in (*self._held, *(publisher.zenoh for publisher in self._publishers.values())):
             held.undeclare()
         self._held.clear()
         self._publishers.clear()
