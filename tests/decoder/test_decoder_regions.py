@@ -10,12 +10,13 @@ from hypothesis import strategies as st
 
 from heliograph.errors import Refusals
 from heliograph.events import EventBatch
-from heliograph_services.decoder.centring import BINS_PER_PX, ETA, Q_MIN, R_0, TRIM, correct, trimmed_mean
+from heliograph_services.decoder.centring import BINS_PER_PX, ETA, Q_MIN, R_0, TRIM, correct, share, trimmed_mean
 from heliograph_services.decoder.region_state import (
     CORE,
     GATE_MARGIN_PX,
     GATE_SHARE,
     NEVER,
+    SHARED,
     TURN,
     VX,
     VY,
@@ -165,6 +166,20 @@ def test_a_region_that_hears_nothing_for_50_ms_is_carried_round_its_circle() -> 
     assert np.hypot(*(radius * np.array([np.sin(angle), -np.cos(angle)]) - state[[X, Y], 0])) < 5.0
     # Straight on it would be 15 px away.
     assert state[[VX, VY], 0] == pytest.approx([speed * np.cos(angle), speed * np.sin(angle)], abs=150.0)
+
+
+@pytest.mark.parametrize(
+    ("apart_px", "doubt_px2", "shared"),
+    [(5.0, 0.01, True), (10.0, 0.01, False), (10.0, 1.0, True), (15.0, 100.0, False)],
+    ids=["gates meet", "regions overlap beyond their gates", "doubtful regions' gates meet", "regions are apart"],
+)
+def test_regions_share_events_where_their_gates_meet(apart_px: float, doubt_px2: float, shared: bool) -> None:
+    # Reach 7 px; gates of 1.5 * 1.5 + 0.5 px and three sigmas.
+    sure = Doubt(doubt_px2, 0.0, 100.0)
+    places = [Place(60.0 + k * apart_px, 50.0, 0.0, 0.0, 7.0) for k in range(2)]
+    state = np.stack([column(at, 3.0, sure) for at in places], axis=1)
+    share(state, np.zeros(2, np.int64), 2, 1_000)
+    assert state[SHARED].tolist() == [shared, shared]
 
 
 def column_of(x_px: int, rows: int, t0_us: int, times: int) -> EventBatch:

@@ -94,7 +94,10 @@ ALIVE_US: Final = 30_000
 
 @part
 def share(state: Floats, centred_us: Ints, n: int, now_us: int) -> None:
-    """Note which regions overlap with another one, of no lower rank, that has been centred of late."""
+    """Note which regions may take another's events for their own: one of no lower rank, centred of late.
+
+    What either takes for its target's lies within its gate, so regions that overlap beyond their gates share nothing.
+    """
     for i in range(n):
         state[SHARED, i] = 0.0
     for i in range(n):
@@ -102,6 +105,9 @@ def share(state: Floats, centred_us: Ints, n: int, now_us: int) -> None:
             both = state[REACH, i] + state[REACH, k]
             dx, dy = abs(state[X, i] - state[X, k]), abs(state[Y, i] - state[Y, k])
             if dx < both and dy < both and dx * dx + dy * dy < both * both:
+                gates = gate_px(state, i) + gate_px(state, k)
+                if dx * dx + dy * dy >= gates * gates:
+                    continue
                 if now_us - centred_us[k] <= ALIVE_US and state[RANK, k] >= state[RANK, i]:
                     state[SHARED, i] = 1.0
                 if now_us - centred_us[i] <= ALIVE_US and state[RANK, i] >= state[RANK, k]:

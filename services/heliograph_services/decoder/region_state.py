@@ -43,7 +43,7 @@ P_XX: Final = 6
 P_XV: Final = 7
 P_VV: Final = 8
 Q: Final = 9
-SHARED: Final = 10  # 1 where another region that follows its target overlaps with it
+SHARED: Final = 10  # 1 where its gate meets that of another region that follows its target
 RANK: Final = 11  # 1 where frames are being read, else 0
 CORE: Final = 12  # m, px
 TURN: Final = 13  # w, rad/s
@@ -55,7 +55,7 @@ AGE_US: Final = 2
 FIRST: Final = 3  # a pixel was heard in this step
 HEARD_ROWS: Final = 4
 
-# Where two regions overlap, an event may be either's: both go on nearly straight until they have parted. At 200 px/s
+# Where two gates meet, an event may be either's: both go on nearly straight until they have parted. At 200 px/s
 # that takes 60 ms; 1000 px/s2 bend a way by 2 px in that time.
 Q_SHARED: Final = 1e3
 # The margin of a region holds so much already.
