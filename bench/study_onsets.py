@@ -69,9 +69,9 @@ WINDOW_US: Final = 10_000
 SAMPLE_S: Final = 0.02
 # What the site with a radio gives them.
 ONBOARD: Final = Path(__file__).parents[1] / "deploy" / "sites" / "onboard.toml"
-BUDGET: Final = {
-    "onsets_bit_rate_max": load_site(ONBOARD).entry("event_source", "event_source").settings["onsets_bit_rate_max"]
-}
+_SOURCE: Final = load_site(ONBOARD).entry("event_source", "event_source").settings
+TICK: Final = {"tick_us": _SOURCE["tick_us"]}
+BUDGET: Final = {"onsets_bit_rate_max": _SOURCE["onsets_bit_rate_max"]}
 
 
 def scene(name: str) -> str:
@@ -111,7 +111,7 @@ def windows(text: str, seed: int, seconds: float) -> Iterator[tuple[CameraInfo, 
 
 def source(info: CameraInfo, **settings: Any) -> SourceCore:
     """Return the source's core; a window of any number of events is one record."""
-    return SourceCore(EventSourceConfig(max_events=1_000_000, window_us=WINDOW_US, **settings), info)
+    return SourceCore(EventSourceConfig(max_events=1_000_000, window_us=WINDOW_US, **TICK, **settings), info)
 
 
 def worst_second(sizes: list[int], message_us: int) -> int:

@@ -95,14 +95,14 @@ def test_onsets_travel_once_in_their_own_period_on_the_grid_of_the_clock() -> No
     assert [t % 20_000 for t in ends[:-1]] == [0] * (len(ends) - 1)
     assert [b - a for a, b in pairwise(ends[:-1])] == [20_000] * (len(ends) - 2)
     with pytest.raises(ConfigError, match="multiple of tick_us"):
-        EventSourceConfig(onsets_us=7_000)
+        EventSourceConfig(onsets_us=7_500)
 
 
 def test_the_end_completes_the_tick_it_lies_in() -> None:
     one = EventBatch(
         np.array([11_500, 11_501], np.int64), np.zeros(2, np.uint16), np.zeros(2, np.uint16), np.ones(2, np.bool_)
     )
-    core = SourceCore(EventSourceConfig(), CameraInfo(1, 1))
+    core = SourceCore(EventSourceConfig(tick_us=5_000), CameraInfo(1, 1))
     messages = core.feed(Window(10_000, 12_000, one, "s", end=True))
     assert [(m.SCHEMA, m.time_us) for m in messages] == [("events", 12_000), ("onsets", 15_000)]
     assert onsets_of(messages) == [(10_000, 0, 0, 2, 0)]

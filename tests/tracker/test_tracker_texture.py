@@ -17,7 +17,8 @@ from support.onset_scenes import Disc, Scene, line
 
 def followed(confirm_blinks: int) -> tuple[int, Tracks]:
     """Return how many tracks a second of moving fragments and five beacons makes, and the last of them."""
-    source = SourceCore(EventSourceConfig(), CameraInfo(WIDTH, HEIGHT))
+    # As from a radio: by the millisecond fragments are a fifth of that.
+    source = SourceCore(EventSourceConfig(tick_us=5_000), CameraInfo(WIDTH, HEIGHT))
     tracker = TrackerCore(TrackerConfig(confirm_blinks=confirm_blinks), Context("tracker", "0", lockstep=False))
     last = None
     for window in make_corpus(1e6, 1.0, 5, "fragments").windows:

@@ -66,9 +66,9 @@ class EventSourceConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     max_events: Annotated[int, Meta(ge=1, le=1_000_000, description="events a message, at most")] = 10_000
 
     # onsets
-    # A target at 700 px/s moves 3.5 px in 5 ms, less than a beacon's diameter, so its blob stays round; at 100 ms it
-    # is a streak that no shape filter passes.
-    tick_us: Annotated[int, Meta(ge=100, le=100_000, description="length of an onset tick, us")] = 5_000
+    # Where within its tick an event lies is not known: at 2000 px/s 10 px in 5 ms, 2 in 1 ms, and so much less do
+    # tracks of fast targets err. What crosses a radio stays at 5 ms (deploy/sites/onboard.toml): an entry a tick.
+    tick_us: Annotated[int, Meta(ge=100, le=100_000, description="length of an onset tick, us")] = 1_000
     # Each message costs 0.3 kB beside its entries, so 10 ms take an eighth of a link of 2 Mbit/s and 5 ms a quarter; an
     # onset waits for half of it on the average, and for all of it at worst, before a tracker hears of it.
     onsets_us: Annotated[int, Meta(ge=100, le=1_000_000, description="time that an onsets message covers, us")] = 10_000

@@ -21,8 +21,10 @@ import numpy.typing as npt
 
 from heliograph_services.tracker.jit import kernel
 
-# A measured tick's weight in the means: noise changes with the light, in seconds; ticks are milliseconds.
+# A measured tick's weight in the means, of 5 ms: noise changes with the light, in seconds. A shorter one sees less and
+# weighs less, so the means are over the same time.
 SMOOTHING: Final = 0.05
+SMOOTHED_US: Final = 5_000
 # Of the stream's ticks, every fourth is enough once there is a mean: measuring costs as much as pooling three scales.
 EVERY: Final = 4
 EACH_AT_FIRST: Final = 20
@@ -75,14 +77,16 @@ class NoiseMeter:
     Args:
         width: columns, the stream's pixels.
         height: rows.
+        tick_us: length of the stream's ticks.
 
     Attributes:
         events: lambda, events a pixel and stream tick.
         ticks: how many were measured.
     """
 
-    def __init__(self, width: int, height: int) -> None:
+    def __init__(self, width: int, height: int, tick_us: int = SMOOTHED_US) -> None:
         self.events = 0.0
+        self._weight = SMOOTHING * min(1.0, tick_us / SMOOTHED_US)
         self._pixels = width * height
         self._near = np.zeros((height + 2, width + 2), np.int32)
         self._mean = np.zeros(5)  # alone with one event, with two, with any; empty 3 x 3; pixels without events
@@ -97,7 +101,7 @@ class NoiseMeter:
         self.ticks += 1
         now = np.array([one, two, alone, self._pixels - reached, self._pixels - len(x)], np.float64)
         # The plain mean of what there is so far at first.
-        self._mean += (now - self._mean) * max(SMOOTHING, 1 / self.ticks)
+        self._mean += (now - self._mean) * max(self._weight, 1 / self.ticks)
         one_, two_, alone_, void, empty = self._mean.tolist()
         if two_ > one_:
             self.events = _of_pairs(two_ / self._pixels)

@@ -99,7 +99,7 @@ class FlowPyramid:
         self._until_us: int | None = None
         self._size = (width, height)
         self._tick_us = tick_us
-        self._noise = NoiseMeter(-(-width // pool_px), -(-height // pool_px))
+        self._noise = NoiseMeter(-(-width // pool_px), -(-height // pool_px), tick_us)
         scales = dict.fromkeys(fitted(scale, tick_us, pool_px) for scale in settings.scales)
         self._scales = [
             _ScaleRun(i, scale, settings, network, width, height, tick_us, pool_px, self.counters, runtime)

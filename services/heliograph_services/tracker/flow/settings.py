@@ -51,7 +51,7 @@ class FlowSettings:
 
     Args:
         scales: the networks. The default three see 240 to 1200, 80 to 400 and 16 to 80 px/s: a network covers 5 to 1,
-            and 20 to 1000 are asked for. The fastest step is the event source's default tick; pooling by 4 there would
+            and 20 to 1000 are asked for. The fastest step is the tracker's own window; pooling by 4 there would
             reach 1600, but lose texture finer than that. The slowest pools by 2 as well: at 20 px/s a weak texture
             fires a pixel too seldom for 5 x 5 of them to tell a front (108 % of error by pixels, 14 % by squares of 2;
             a sharp disc has 6 % instead of 3).
