@@ -25,7 +25,7 @@ from heliograph_services.tracker.identity import Identities
 from heliograph_services.tracker.motion import Motion, Steering
 from heliograph_services.tracker.quarantine import Quarantine
 from heliograph_services.tracker.shape import ShapeFilter, Targets
-from heliograph_services.tracker.sighting import TURN_US, Rule, Sighting, see, shines
+from heliograph_services.tracker.sighting import SIZE_RATIO, TURN_US, Rule, Sighting, see, shines
 from heliograph_services.tracker.splitting import PASS_S, Followed, carve, split
 from heliograph_services.tracker.tracks import INVALID, VALID, Numbers, Snapshot, TrackTable
 from heliograph_services.tracker.windows import Window
@@ -56,7 +56,7 @@ class Found:
 
     Args:
         targets: of the window.
-        held: (k,) bool: of tracks that pass each other, for nobody.
+        held: (k,) bool: for nobody: of tracks that pass each other, or what a light was cut out of.
         passing: (n,) bool, rows of the table that go on without a target.
     """
 
@@ -281,9 +281,10 @@ class GridFollower:
             return None
         targets = self._measured(window, active, labels, np.zeros(count, np.bool_))
         carved = carve(active, labels, targets, self._clusterer.labels, self._config.min_pixels)
+        around = np.zeros(count, np.bool_)
         if carved is not None:
             self._counters["targets_carved"] += carved[1] - count
-            labels, count = carved
+            labels, count, around = carved
             targets = self._measured(window, active, labels, np.zeros(count, np.bool_))
         table, named = self.table, np.flatnonzero(self.table.named)
         fresh = window.end_us - table.seen_us[named] <= PASS_S * US_PER_S
@@ -291,10 +292,13 @@ class GridFollower:
         cut = split(active, labels, targets, tracks, self._pool_px)
         passing = np.zeros(len(table), np.bool_)
         if cut is None:
-            return Found(targets, np.zeros(len(targets), np.bool_), passing)
+            return Found(targets, around, passing)
         self._counters["targets_split"] += 1
         passing[named] = cut.passing
-        return Found(self._measured(window, active, cut.labels, cut.piece), cut.held, passing)
+        held = cut.held.copy()
+        # What is cut along tracks is theirs.
+        held[:count] |= around & ~cut.piece[:count]
+        return Found(self._measured(window, active, cut.labels, cut.piece), held, passing)
 
     def _measured(self, window: Window, active: Active, labels: Ints, piece: Flags) -> Targets:
         ticks = (window.end_us - window.start_us) // window.tick_us
@@ -326,13 +330,15 @@ class GridFollower:
         see(table, self._filters, Sighting(rows[place], owner, used), targets, end_us, self._weights)
 
     def _shine_fits(self, rows: Longs, chosen: Longs, targets: Targets) -> Flags:
-        """Return (k,) bool: a light that shines and moves takes no edge of one polarity beside its disc."""
+        """Return (k,) bool: a light that shines and moves takes no edge beside its disc, and nothing larger there."""
         table = self.table
         away = np.hypot(targets.x_px[chosen] - table.state[rows, 0], targets.y_px[chosen] - table.state[rows, 1])
-        mine = targets.dipole | (targets.rise & targets.light)
-        return np.asarray(
-            ~shines(table)[rows] | mine[chosen] | (away <= table.radius_px[rows] + association.DISC_SLACK_PX)
-        )
+        radius = table.radius_px[rows]
+        fits = self._seen_px(targets.pixels[chosen]) <= SIZE_RATIO * table.size_px[rows]
+        fits &= (targets.rise & targets.light)[chosen] | (away <= radius + association.DISC_SLACK_PX)
+        # Known by its crescents, it is larger when it is switched.
+        fits |= away <= radius
+        return np.asarray(~shines(table)[rows] | targets.dipole[chosen] | fits)
 
     def _find(self, rows: Longs, targets: Targets, free: Flags, end_us: int) -> None:
         """Give rows that lost their light because it turned the nearest free one that blinks; see `recovery`."""

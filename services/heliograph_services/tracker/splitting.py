@@ -12,7 +12,11 @@ track, which is believed to turn at any moment, follows it. Quick is a relative 
     v PASS_S > R_1 + R_2
 
 A beacon on a moving edge makes one cluster with it, long before and after it lies free. What blinks there is told from
-what is crossed (`shape.BOTH_SHARE`): the pixels that went both ways are clustered among themselves and cut out.
+what is crossed (`shape.BOTH_SHARE`): the pixels that went both ways are clustered among themselves and cut out. At 50
+bit/s a window has one flip at most, and hardly a pixel goes both ways; but a light that is switched, or shines and
+moves, passes several thresholds in a pixel, and a texture one (`shape.DENSE`). Where a cluster is so much larger than
+what fired more than once in it that no track of that size would take it, the latter is cut out if it fired both ways:
+a small light that shines and moves is a dipole (`shape.DIPOLE_SHARE`). What is left of the cluster is nobody's.
 """
 
 from __future__ import annotations
@@ -24,9 +28,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from heliograph_services.tracker.association import GROWTH
 from heliograph_services.tracker.clustering import Active, Ints
 from heliograph_services.tracker.jit import kernel
-from heliograph_services.tracker.shape import NOT_ROUND, TOO_MANY, Targets
+from heliograph_services.tracker.shape import DIPOLE_SHARE, NOT_ROUND, TOO_FEW, TOO_MANY, Targets
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -44,38 +49,45 @@ LARGER: Final = 1.2
 
 def carve(
     active: Active, labels: Ints, targets: Targets, cluster: Callable[[Active], tuple[Ints, int]], min_pixels: int
-) -> tuple[Ints, int] | None:
-    """Cut what blinks out of the clusters that have not the shape of a light; return labels and how many, or None.
+) -> tuple[Ints, int, Flags] | None:
+    """Cut lights out of the clusters that they make with edges; return None where there are none.
 
     Args:
         active: the window's n pixels.
         labels: (n,) int32.
-        targets: of these labels.
+        targets: k of these labels.
         cluster: the clustering.
         min_pixels: what is smaller stays where it is.
+
+    Returns:
+        (n,) int32 labels; how many, m; (m,) bool, those that are the surroundings of a light that fired more than once.
     """
-    crossed = (targets.verdict == NOT_ROUND) | (targets.verdict == TOO_MANY)
+    inside, both, often = labels >= 0, (active.on > 0) & (active.off > 0), active.on + active.off > 1
+    dense = np.bincount(labels[inside & often], minlength=len(targets))
+    wide = (targets.verdict != TOO_FEW) & (dense >= min_pixels) & (GROWTH * dense < targets.pixels)
+    crossed = ((targets.verdict == NOT_ROUND) | (targets.verdict == TOO_MANY)) & ~wide
     crossed &= (targets.both >= min_pixels) & (targets.both < CARVED_SHARE * targets.pixels)
-    if not crossed.any():
+    if not crossed.any() and not wide.any():
         return None
-    blinking = np.flatnonzero((labels >= 0) & crossed[labels] & (active.on > 0) & (active.off > 0))
-    inner, count = cluster(
-        Active(
-            active.x_px[blinking],
-            active.y_px[blinking],
-            active.on[blinking],
-            active.off[blinking],
-            active.moments[:, blinking],
-        )
+    taken = np.flatnonzero(inside & ((both & crossed[labels]) | (often & wide[labels])))
+    part = Active(active.x_px[taken], active.y_px[taken], active.on[taken], active.off[taken], active.moments[:, taken])
+    inner, count = cluster(part)
+    member = inner >= 0
+    on, off, by_wide = (
+        np.bincount(inner[member], each[member], count) for each in (part.on, part.off, wide[labels[taken]])
     )
-    large = np.bincount(inner[inner >= 0], minlength=count) >= min_pixels
+    # A strong edge fires more than once too, but one way.
+    dipole = np.minimum(on, off) >= DIPOLE_SHARE * (on + off)
+    large = (np.bincount(inner[member], minlength=count) >= min_pixels) & (dipole | (by_wide == 0))
     if not large.any():
         return None
     place = np.cumsum(large) - 1 + len(targets)
-    cut = np.flatnonzero((inner >= 0) & large[inner])
-    out = labels.copy()
-    out[blinking[cut]] = place[inner[cut]]
-    return out, len(targets) + int(large.sum())
+    cut = np.flatnonzero(member & large[inner])
+    out, total = labels.copy(), len(targets) + int(large.sum())
+    out[taken[cut]] = place[inner[cut]]
+    around = np.zeros(total, np.bool_)
+    around[labels[taken[cut]]] = wide[labels[taken[cut]]]
+    return out, total, around
 
 
 @kernel
