@@ -10,10 +10,11 @@ Scenes, a camera second each, by the thread's processor time around the calls (m
     site        construction_site, full fidelity          site-live   the same, live
     busy        5 Mev/s at the sensor: half noise, moving texture, 20 beacons at 2 kbit/s
 
-`gating` is the source's count, gate and budget of onsets, `source` all of its core, `packing` what making the onsets'
-records for the wire takes besides; the tracker is timed as shipped and with the flow network (`network`: all calls of
-its motion). It is live and without a decoder: nothing is ever called valid. `stages` are the shares of the tracker's
-time by file (cProfile: kernels count where they are called from; with its own overhead).
+`gating` is the source's count, gate and budget of onsets (also with the ticks of deploy/sites/onboard.toml), `source`
+all of its core, `packing` what making the onsets' records for the wire takes besides; the tracker is timed as shipped
+and with the flow network (`network`: all calls of its motion). It is live and without a decoder: nothing is ever
+called valid. `stages` are the shares of the tracker's time by file (cProfile: kernels count where they are called
+from; with its own overhead).
 
 Processes: the busy scene's recording and the site's, played at real time by a source, with router and tracker; their
 processor time from /proc over the seconds after the first.
@@ -35,7 +36,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -181,11 +182,15 @@ class Timed:
         return call
 
 
-def recorded(name: str, seconds: float) -> tuple[list[Onsets], dict[str, Any]]:
-    """Return a scene's onsets as its source sends them, and what making them cost."""
+# deploy/sites/onboard.toml: where a radio follows, and the source has the smaller computer.
+ONBOARD_TICK_US: Final = 5_000
+
+
+def recorded(name: str, seconds: float, **given: Any) -> tuple[list[Onsets], dict[str, Any]]:
+    """Return a scene's onsets as its source, with the given settings, sends them, and what making them cost."""
     scenario, settings = SCENES[name]
     batches = live_scenes.events_of(scenario, SEED, seconds, **settings)
-    config = EventSourceConfig(backend="simulated", window_us=20_000, max_events=1_000_000)
+    config = EventSourceConfig(backend="simulated", window_us=20_000, max_events=1_000_000, **given)
     source = SourceCore(config, CameraInfo(640, 480))
     counter, budget = Timed(source._counter), Timed(source._budget)
     source._counter, source._budget = counter, budget
@@ -284,6 +289,7 @@ def scenes(seconds: float, profile_to: Path | None) -> dict[str, Any]:
         warm(config.clustering, config.kalman, config.flow)
     for name in SCENES:
         onsets, row = recorded(name, seconds)
+        row["gating_onboard_core"] = recorded(name, seconds, tick_us=ONBOARD_TICK_US)[1]["gating_core"]
         for arm, config in TRACKERS.items():
             row[arm] = tracked(onsets, config)
             row[arm]["stages"], table = stages(onsets, config)

@@ -15,7 +15,8 @@ time 0 lies, to a fraction of a millisecond. Processes, client and proxy share t
 Arms:
 
     host    source, tracker and decoder on one host, shared memory
-    link    tracker behind a link of 2 Mbit/s and 50 ms each way, shared memory off; a router on each side
+    link    tracker behind a link of 2 Mbit/s and 50 ms each way, shared memory off; a router on each side; ticks and
+            the onsets' rate as deploy/sites/onboard.toml has them, unless --source says otherwise
     link25  the same with 25 ms each way (50 ms there and back)
     cores, cores-link   the same cores in one process, live but without a clock: every message is there at once, or
             after 50 ms each way; what the algorithms take, on a host of any speed and with any load
@@ -108,6 +109,7 @@ protocol = "seed11"
 bit_rate = 2000
 {decoder}
 """
+ONBOARD: Final = Path(__file__).parents[1] / "deploy" / "sites" / "onboard.toml"
 TRACKER: Final = """
 [[service]]
 kind = "tracker"
@@ -153,12 +155,19 @@ class Client:
         self._thread.join()
 
 
+def radio() -> str:
+    """Return what onboard.toml says to its source about onsets, as lines of a site file."""
+    (source,) = (s for s in tomllib.loads(ONBOARD.read_text())["service"] if s["kind"] == "event_source")
+    return "\n".join(f"{name} = {source[name]}" for name in ("tick_us", "onsets_bit_rate_max"))
+
+
 def run(arm: str, folder: Path, file: Path, seconds: float, settings: dict[str, str]) -> dict[str, Any]:
     """Play the recording through real processes; return what the clients heard."""
     board_port, ground_port = free_port(), free_port()
     shared = "true" if arm == "host" else "false"
     text = BUS.format(host="board", port=board_port, shared=shared)
-    source = SOURCE.format(file=file, settings=settings.get("source", ""), decoder=settings.get("decoder", ""))
+    given = settings.get("source", "") or ("" if arm == "host" else radio())
+    source = SOURCE.format(file=file, settings=given, decoder=settings.get("decoder", ""))
     tracker = TRACKER.format(tracker=settings.get("tracker", ""))
     link = None
     hosts: list[Host] = []
