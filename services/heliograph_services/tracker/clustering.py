@@ -175,7 +175,8 @@ class Clusterer:
         out = np.empty((4, len(x_px)), np.int32)
         moments = np.empty((2, len(x_px)))
         n = _distinct(x_px, y_px, on, off, tick, self._grid, self._stride, self._pad, out, moments)
-        return Active(out[0, :n], out[1, :n], out[2, :n], out[3, :n], moments[:, :n])
+        # Rows cut short are another type to numba, for which a live tracker would wait seconds.
+        return Active(out[0, :n], out[1, :n], out[2, :n], out[3, :n], np.ascontiguousarray(moments[:, :n]))
 
     def labels(self, active: Active) -> tuple[Ints, int]:
         """Return (n,) int32 labels, -1 for noise, and the number of clusters."""
