@@ -12,15 +12,13 @@ surrounding noise, n >= 2 e + 3 sqrt(e); else it is forgotten after `HOLD_US`::
 
 m is the median distance of the events (heliograph_services.decoder.routing), rho the target's radius as it is told.
 What lies about a centre at the distance m varies by m^2 / 2 on each axis; a region that is off its target finds too
-large an m, hence the other bound. The last line but one keeps the filter as nimble as its
-target: residuals larger than their
+large an m, hence the other bound. The line of q keeps the filter as nimble as its target: residuals larger than their
 expected size are an acceleration that was not allowed for. An LED that rests or goes straight is averaged over many
 edges; one that turns at 20,000 px/s2 is followed edge by edge. The mean is trimmed by a fifth at both ends of each
-axis, so that a neighbour's edge cannot pull, while the two crescents of a moving lit disc still balance (a median
-would jump from one to the other). The turn rate w carries a region round its curve where it hears nothing of its own,
-or shares what it hears with another: it is learned from what is its alone, and forgotten after `ALIVE_US` of silence. A
-pixel counts at most `PIXEL_LIMIT` times a step, and one alone is no measurement:
-a hot one cannot pull.
+axis, so that a neighbour's edge cannot pull, while the two crescents of a moving lit disc still balance (a median would
+jump from one to the other). The turn rate w carries a region round its curve where it hears nothing of its own, or
+shares what it hears with another: it is learned from what is its alone, and forgotten after `ALIVE_US` of silence. A
+pixel counts at most `PIXEL_LIMIT` times a step, and one alone is no measurement: a hot one cannot pull.
 """
 
 from __future__ import annotations
