@@ -130,7 +130,7 @@ class Modulation(Protocol):
 
         Args:
             bit_rate: nominal bits a second.
-            name: "default", or another of this modulation's receivers ("paper").
+            name: "default", or another of this modulation's receivers ("paper", "binning", "wang2022").
 
         Raises:
             ValueError: this modulation has no such receiver.

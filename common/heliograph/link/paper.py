@@ -23,6 +23,7 @@ a track of random bits becomes valid with probability 0.25.
 from __future__ import annotations
 
 from collections import Counter, deque
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -42,6 +43,35 @@ SCORE_MAX: Final = 20
 SCORE_MIN: Final = 0
 GAIN: Final = 2
 DELAY_MAX_US: Final = 500_000
+
+
+@dataclass(frozen=True, slots=True)
+class PaperParameters:
+    """What of the windows can be tuned; the defaults are the paper's, as `paper-notes` settle them.
+
+    Args:
+        window_bits: length of a window, in nominal bits.
+        polarity: least |P| of a transition, above 0.
+        min_events: fewer events in a window are no target.
+
+    Raises:
+        ValueError: a number is out of range.
+    """
+
+    window_bits: float = 1.0
+    polarity: float = POLARITY
+    min_events: int = MIN_EVENTS
+
+    def __post_init__(self) -> None:
+        if not 1e-3 <= self.window_bits <= 1e3:
+            raise ValueError(f"window_bits must be in [0.001, 1000], not {self.window_bits:g}")
+        if not 0.0 < self.polarity <= 1.0:
+            raise ValueError(f"polarity must be in (0, 1], not {self.polarity:g}")
+        if self.min_events < 1:
+            raise ValueError(f"min_events must be at least 1, not {self.min_events}")
+
+
+PUBLISHED: Final = PaperParameters()
 
 
 class Score:
@@ -74,14 +104,22 @@ class PaperReceiver:
     track.
 
     Args:
-        code: seed11.
+        code: seed11; or another cyclic code, whose rotations then tell where a word begins.
         bit_rate: nominal bits a second, taken as exact.
+        parameters: of its windows.
+
+    Raises:
+        ValueError: the bit rate is out of range.
     """
 
-    def __init__(self, code: CyclicCode, bit_rate: float) -> None:
+    def __init__(self, code: CyclicCode, bit_rate: float, parameters: PaperParameters = PUBLISHED) -> None:
         self.refusals: Refusals = Counter()
         self._code = code
         self._bit_us = bit_us(bit_rate)
+        self._window_us = parameters.window_bits * self._bit_us
+        self._window_bits = parameters.window_bits
+        self._polarity = parameters.polarity
+        self._min_events = parameters.min_events
         self._payloads = {word: payload for payload, word in enumerate(code.words)}
         self._until_us: int | None = None
         self._window: int | None = None  # number of the open window
@@ -107,7 +145,7 @@ class PaperReceiver:
             if self._heard_us is None:
                 self._heard_us = int(t_us[0])
             self._take(t_us, on, out)
-        if self._window is not None and until_us >= (self._window + 1) * self._bit_us:
+        if self._window is not None and until_us >= (self._window + 1) * self._window_us:
             self._close(out)
         return out
 
@@ -135,7 +173,7 @@ class PaperReceiver:
         return LinkQuality(US_PER_S / self._bit_us, None, None, None, None, mar)
 
     def _take(self, t_us: Times, on: Flags, out: list[LinkFrame | Text]) -> None:
-        numbers: npt.NDArray[np.int64] = np.floor(t_us / self._bit_us).astype(np.int64)
+        numbers: npt.NDArray[np.int64] = np.floor(t_us / self._window_us).astype(np.int64)
         starts = np.flatnonzero(np.concatenate([np.ones(1, np.bool_), np.diff(numbers) != 0]))
         signed = np.add.reduceat(np.where(on, 1, -1), starts)
         events = np.diff(np.concatenate([starts, [len(numbers)]]))
@@ -150,9 +188,9 @@ class PaperReceiver:
         """Judge the open window by its polarity."""
         window, events, polarity = self._window, self._events, self._signed / self._events
         self._window, self._signed, self._events = None, 0, 0
-        if window is None or events < MIN_EVENTS or abs(polarity) < POLARITY:
+        if window is None or events < self._min_events or abs(polarity) < self._polarity:
             return
-        self._heard_us = int((window + 1) * self._bit_us)
+        self._heard_us = int((window + 1) * self._window_us)
         on = polarity > 0
         if on is self._lit:
             return
@@ -160,7 +198,7 @@ class PaperReceiver:
         before, self._transition = self._transition, window
         if before is None:
             return
-        n = max(1, window - before)
+        n = max(1, round((window - before) * self._window_bits))
         if n > self._code.longest_run:
             self.refusals[Refusal.OCCLUSION] += 1
             self._bits.clear()

@@ -44,7 +44,12 @@ def parser() -> argparse.ArgumentParser:
         "--protocol", default=None, metavar="NAME|auto", help="seed11 (default), code, uart, or auto: all"
     )
     made.add_argument("--bit-rate", default=None, metavar="N|auto", help="bits a second; auto finds it (default)")
-    made.add_argument("--receiver", default=None, metavar="NAME", help="default, or paper: the published rules")
+    made.add_argument(
+        "--receiver",
+        default=None,
+        metavar="NAME",
+        help="default; others' to compare: paper, binning (seed11), wang2022 (uart)",
+    )
     made.add_argument(
         "--option", action="append", default=[], metavar="KEY=VALUE", help="of the protocol, e.g. parity=paper_text"
     )

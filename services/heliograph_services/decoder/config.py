@@ -37,7 +37,10 @@ class DecoderConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     bit_rate: Annotated[
         _Rate | Literal["auto"], Meta(description="nominal bit/s without listed beacons, or auto to measure it")
     ] = 1000.0
-    receiver: Annotated[Name, Meta(description="the receiver of every modulation: default, or paper")] = "default"
+    receiver: Annotated[
+        Name,
+        Meta(description="the receiver of every modulation that has it: default; paper, binning, wang2022 to compare"),
+    ] = "default"
     options: Annotated[
         dict[str, str | int], Meta(description="the modulation's own settings without listed beacons")
     ] = {}

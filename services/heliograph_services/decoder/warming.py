@@ -6,7 +6,7 @@ import numpy as np
 
 from heliograph.core import Context
 from heliograph.events import EventBatch
-from heliograph.link import text_receiver, trial
+from heliograph.link import text_receiver, trial, wang2022
 from heliograph.messages import Tracks
 from heliograph.streams import Events
 from heliograph_services.decoder.config import DecoderConfig
@@ -22,6 +22,7 @@ def warm_all() -> None:
     """
     text_receiver.warm()
     trial.warm()
+    wang2022.warm()
     _tiles()
     core = DecoderCore(DecoderConfig(protocol="auto"), Context(instance="warm", boot="0", lockstep=False))
     for k in range(40):

@@ -10,6 +10,8 @@ from heliograph.link.codebook import load
 from heliograph.link.contract import Bits, Receiver
 from heliograph.link.frames import bits_of
 
+RECEIVERS = ("default", "binning")
+
 
 class Code:
     """A codebook's modulation.
@@ -51,10 +53,14 @@ class Code:
         """Return a receiver of one track.
 
         Raises:
-            ValueError: another name than "default", or the bit rate is out of range.
+            ValueError: the name is none of `RECEIVERS`, or the bit rate is out of range.
         """
+        if name == "binning":
+            from heliograph.link.binning import BinningReceiver  # noqa: PLC0415 - for symmetry
+
+            return BinningReceiver(self.code, bit_rate)
         if name != "default":
-            raise ValueError(f"receiver of code must be default, not {name!r}")
+            raise ValueError(f"receiver of code must be one of {', '.join(RECEIVERS)}, not {name!r}")
         from heliograph.link.cyclic import CyclicReceiver  # noqa: PLC0415 - numba, only where something is received
 
         return CyclicReceiver(self.code, bit_rate, self._read_periodic)

@@ -11,7 +11,7 @@ from typing import cast
 from heliograph.link.contract import Bits, Receiver
 from heliograph.link.frames import PARITIES, Parity, bits_of, seed11_code
 
-RECEIVERS = ("default", "paper")
+RECEIVERS = ("default", "paper", "binning")
 
 
 class Seed11:
@@ -72,4 +72,8 @@ class Seed11:
             from heliograph.link.paper import PaperReceiver  # noqa: PLC0415 - for symmetry
 
             return PaperReceiver(self.code, bit_rate)
+        if name == "binning":
+            from heliograph.link.binning import BinningReceiver  # noqa: PLC0415 - for symmetry
+
+            return BinningReceiver(self.code, bit_rate)
         raise ValueError(f"receiver of seed11 must be one of {', '.join(RECEIVERS)}, not {name!r}")

@@ -8,6 +8,8 @@ from heliograph.link.uart_layout import text_bits
 
 __all__ = ["Uart", "warm"]
 
+RECEIVERS = ("default", "wang2022")
+
 
 class Uart:
     """Text beacons; obeys `heliograph.link.contract.Modulation`. It has no options."""
@@ -26,8 +28,12 @@ class Uart:
         """Return a receiver of one track.
 
         Raises:
-            ValueError: the bit rate is out of range, or uart has no such receiver.
+            ValueError: the name is none of `RECEIVERS`, or the bit rate is out of range.
         """
-        if name != "default":
-            raise ValueError(f"receiver of uart must be default, not {name!r}")
-        return TextReceiver(bit_rate)
+        if name == "default":
+            return TextReceiver(bit_rate)
+        if name == "wang2022":
+            from heliograph.link.wang2022 import WangReceiver  # noqa: PLC0415 - a kernel that only comparisons need
+
+            return WangReceiver(bit_rate)
+        raise ValueError(f"receiver of uart must be one of {', '.join(RECEIVERS)}, not {name!r}")
