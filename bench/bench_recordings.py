@@ -19,21 +19,11 @@ import time
 from contextlib import redirect_stdout
 from pathlib import Path
 
+from heliograph.edits import edits
 from heliograph_services.cli.decode import run
 
 RECORDINGS = {"504hz_100m.mat": "504", "3125hz_30m.mat": "3125"}
 REPEATS = 3
-
-
-def edit_distance(sent: str, read: str) -> int:
-    """Return the least number of substitutions, deletions and insertions between two texts."""
-    row = list(range(len(read) + 1))
-    for i, a in enumerate(sent, 1):
-        new = [i]
-        for j, b in enumerate(read, 1):
-            new.append(min(row[j] + 1, new[-1] + 1, row[j - 1] + (a != b)))
-        row = new
-    return row[-1]
 
 
 def decoded(file: Path, rate: str) -> tuple[str, dict[str, object], float]:
@@ -54,8 +44,8 @@ def measured(folder: Path, name: str, rate: str) -> dict[str, object]:
     text, summary, _ = runs[0]
     assert all(again == text for again, _, _ in runs)
     earlier = max(0, len(text) - len(sonnet))
-    whole = edit_distance(sonnet, text[earlier:])
-    everything = edit_distance(sonnet[-earlier:] + sonnet, text)
+    whole = edits(sonnet, text[earlier:]).errors
+    everything = edits(sonnet[-earlier:] + sonnet, text).errors
     duration_s = float(str(summary["duration_us"])) / 1e6
     return {
         "recording": name,

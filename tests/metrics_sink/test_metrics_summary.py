@@ -47,6 +47,11 @@ def test_the_summary_of_a_run_adds_counts_and_divides(tmp_path: Path) -> None:
     assert (found.accuracy.mar_received.right, found.accuracy.mar_received.n) == (271, 273)
     # 41 is 1110 101001 1: two bits of the payload differ from 42's, the parity does not.
     assert (found.accuracy.bar.right, found.accuracy.bar.n) == (226 * 11 - 2, 226 * 11)
+    assert (found.accuracy.fer.right, found.accuracy.fer.n) == (1, 226)
+    assert found.accuracy.fer.value == pytest.approx(1 / 226)
+    assert (found.accuracy.ber.right, found.accuracy.ber.n) == (2, 226 * 11)
+    # 225 of 226 frames of 11 ms bring 6 bits each.
+    assert found.accuracy.goodput_bit_s == pytest.approx(225 * 6 / (226 * 0.011))
     assert found.accuracy.first.median_ms == 60.0
     assert found.accuracy.first.never_in_1_s == 0.0
     assert found.accuracy.again.intervals == 0

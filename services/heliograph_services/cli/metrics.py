@@ -61,10 +61,14 @@ def _accuracy(accuracy: Accuracy) -> list[str]:
         ("MAR received", accuracy.mar_received),
         ("MAR sent, close pairs", accuracy.mar_close),
         ("BAR", accuracy.bar),
+        ("FER, visible", accuracy.fer),
+        ("BER, matched frames", accuracy.ber),
     )
     lines += [f"    {name:<24}{_ratio(ratio)}" for name, ratio in rows if ratio.n]
     if accuracy.bar_by_chance is not None:
         lines.append(f"    {'BAR by chance':<24}{accuracy.bar_by_chance:.3f}")
+    if accuracy.goodput_bit_s is not None:
+        lines.append(f"    {'goodput a beacon':<24}{accuracy.goodput_bit_s:.1f} bit/s")
     lines += [f"    {'CER ' + name:<24}{value:.4f}" for name, value in accuracy.cer.items()]
     lines.append(
         f"    identifications judged {accuracy.judged}: {accuracy.false_alarms} false alarms,"

@@ -229,6 +229,7 @@ class Scorer:
             self._count_bits(frame, got, count)
 
     def _count_bits(self, frame: _Sent, got: Received | None, count: Count) -> None:
+        count(f"visible_us/{frame.beacon}", frame.t1_us - frame.t0_us)
         slots = self._slots_of(frame.beacon, frame.protocol)
         word = slots.word(frame.payload) if slots is not None else None
         if slots is None or word is None:
@@ -236,7 +237,10 @@ class Scorer:
         count(f"bits_visible/{frame.beacon}", len(word))
         count(f"bits_chance_milli/{frame.beacon}", round(1000 * slots.chance(frame.payload)))
         if got is not None:
+            count(f"bits_matched/{frame.beacon}", len(word))
             count(f"bits_right/{frame.beacon}", slots.right(frame.payload, got.payload))
+            if got.payload == frame.payload:
+                count(f"payload_bits/{frame.beacon}", slots.payload_bits)
 
     def _note_right(self, frame: _Sent) -> None:
         interval = self.presences.beacons[frame.beacon].interval_at(frame.t0_us)

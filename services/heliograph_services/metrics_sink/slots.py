@@ -30,6 +30,19 @@ class Slots:
         self._is_text = beacon.protocol == "uart"
         self._words: dict[int, tuple[int, ...] | None] = {}
         self._chance: tuple[float, ...] | None = None
+        self._payload_bits: int | None = None
+
+    @property
+    def payload_bits(self) -> int:
+        """The data bits of a frame: 7 of a character, else the whole bits of a payload's values (seed11: 6 of 64)."""
+        if self._is_text:
+            return 7
+        if self._payload_bits is None:
+            code = getattr(self._modulation, "code", None)
+            sendable = [payload for payload in range(PAYLOADS_TRIED) if self.word(payload) is not None]
+            values = max(sendable, default=0) + 1 if code is None else len(code.words)
+            self._payload_bits = values.bit_length() - 1
+        return self._payload_bits
 
     def word(self, payload: int) -> tuple[int, ...] | None:
         """Return the bits of a payload, or None where it cannot be sent."""

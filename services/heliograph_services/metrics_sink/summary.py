@@ -1,9 +1,10 @@
 """Reading the metrics file: counts added over a run, then divided, always with n and an interval.
 
-MAR_sent = right / sent, MAR_received = right / (right + wrong + insertions), BAR = right bits / bits sent, and
-CER = (wrong + missing + insertions) / characters sent. The interval is a bootstrap over blocks of one beacon and one
-second, since errors come in bursts; where all blocks agree, so that it has no width, the bound says what k blocks
-without the opposite can exclude: 1 - 0.05^(1/k).
+MAR_sent = right / sent, MAR_received = right / (right + wrong + insertions), BAR = right bits / bits sent,
+FER = 1 - MAR_sent(visible), BER = wrong bits / bits of matched frames, CER = (wrong + missing + insertions) /
+characters sent, and goodput = data bits of right frames / visible time that counts. The interval is a bootstrap over
+blocks of one beacon and one second, since errors come in bursts; where all blocks agree, so that it has no width, the
+bound says what k blocks without the opposite can exclude: 1 - 0.05^(1/k).
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ class Acquisition(msgspec.Struct, frozen=True):
 
 
 class Accuracy(msgspec.Struct, frozen=True):
-    """Accuracy against the truth; see the module and docs/metrics.md."""
+    """Accuracy against the truth; see the module and docs/metrics.md. `goodput_bit_s` is a mean over the beacons."""
 
     mar_visible: Ratio
     mar_in_view: Ratio
@@ -60,6 +61,9 @@ class Accuracy(msgspec.Struct, frozen=True):
     mar_close: Ratio
     bar: Ratio
     bar_by_chance: float | None
+    fer: Ratio
+    ber: Ratio
+    goodput_bit_s: float | None
     cer: dict[str, float]
     judged: int
     false_alarms: int
@@ -220,13 +224,18 @@ def _summarise(connection: sqlite3.Connection, path: str, run: int | None) -> Su
 def _accuracy(connection: sqlite3.Connection, run_id: int, counts: _Counts) -> Accuracy:
     bits = counts.total["bits_visible"]
     alarms = counts.total["false_alarms"]
+    visible_us = counts.total["visible_us"]
+    mar_visible = counts.ratio("right_visible", "sent_visible")
     return Accuracy(
-        mar_visible=counts.ratio("right_visible", "sent_visible"),
+        mar_visible=mar_visible,
         mar_in_view=counts.ratio("right_in_view", "sent_in_view"),
         mar_received=counts.received(),
         mar_close=counts.ratio("right_close", "sent_close"),
         bar=counts.ratio("bits_right", "bits_visible"),
         bar_by_chance=counts.total["bits_chance_milli"] / 1000 / bits if bits else None,
+        fer=_rest(mar_visible),
+        ber=_rest(counts.ratio("bits_right", "bits_matched")),
+        goodput_bit_s=counts.total["payload_bits"] * 1e6 / visible_us if visible_us else None,
         cer=_character_errors(counts),
         judged=counts.total["judged"],
         false_alarms=alarms,
@@ -237,6 +246,13 @@ def _accuracy(connection: sqlite3.Connection, run_id: int, counts: _Counts) -> A
         # Half a second without sight, as docs/metrics.md has it; shorter breaks are part of ordinary reading.
         again=_acquisition(connection, run_id, 500_000),
     )
+
+
+def _rest(of: Ratio) -> Ratio:
+    """Return the share of all others: its `right` are the wrong ones."""
+    if of.value is None or of.low is None or of.high is None:
+        return of
+    return Ratio(of.n - of.right, of.n, 1.0 - of.value, 1.0 - of.high, 1.0 - of.low)
 
 
 def _per_hour(n: int, exposure_us: int) -> float | None:
