@@ -116,8 +116,12 @@ class Once(msgspec.Struct, frozen=True):
 
 def run(argv: Sequence[str]) -> int:
     """Run the subcommand; return its exit status."""
+    if argv and argv[0] == "link":
+        from heliograph_services.cli.bench_link import run as run_link  # noqa: PLC0415 - numba, not needed here
+
+        return run_link(argv[1:])
     parser = argparse.ArgumentParser(prog="heliograph bench", description=__doc__)
-    parser.add_argument("what", choices=("decode",))
+    parser.add_argument("what", choices=("decode", "link"), help="link: `heliograph bench link --help`")
     parser.add_argument("--json", action="store_true", help="one JSON object a corpus")
     parser.add_argument("--seconds", type=float, default=2.0, metavar="S", help="camera time of a corpus (default: 2)")
     parser.add_argument("--repeat", type=int, default=5, metavar="R", help="repeats (default: 5)")
