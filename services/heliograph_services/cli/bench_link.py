@@ -3,8 +3,9 @@
 No scene and no tracker: what a receiver hears of one light (cli/link_light.py), with one kind of damage at a time. For
 each section (protocol and bit rate), condition and receiver: MAR sent and received, BAR, FER, BER, CER, goodput, false
 identifications on lights that are no beacons, with n and 95 % intervals (cli/studies/blocks.py), and the share of a
-core. *Tuned* receivers are tuned on development seeds for each condition (cli/link_tuning.py); all are judged on the
-study's own seeds. Evidence: simulated. A frame is decided on its own bits (K = 1) by all of them.
+core. A frame is decided on its own bits (K = 1) by all of them. *Tuned* receivers are tuned on development seeds for
+each condition (cli/link_tuning.py); all are judged on the study's own seeds. The genie (cli/link_genie.py) knows clock,
+alignment and light: what is to be had. Evidence: simulated.
 
 With -o FILE a row that is there is not made again, unless the receivers' sources have changed: a run that was cut goes
 on. The file counts the looks at the study's seeds; --development looks at seeds 0 to 99 instead.
@@ -22,7 +23,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from heliograph.errors import ConfigError, FileError
+from heliograph.units import US_PER_S
 from heliograph_services.cli.bench import this_machine
+from heliograph_services.cli.link_genie import genie
 from heliograph_services.cli.link_light import Damage
 from heliograph_services.cli.link_trials import (
     NO_BEACONS,
@@ -33,9 +36,10 @@ from heliograph_services.cli.link_trials import (
     make_trial,
     no_beacon,
     run_trial,
+    score,
     slots_of,
 )
-from heliograph_services.cli.link_tuning import CONTENDERS, Contender, maker, plain, tune
+from heliograph_services.cli.link_tuning import CONTENDERS, GENIE, Contender, maker, plain, tune
 from heliograph_services.cli.studies.blocks import share
 
 NAME: Final = "bench link, release 1"
@@ -50,8 +54,8 @@ CONDITIONS: Final = {
     "lost 50 %": Damage(lost=0.5),
     "lost 80 %": Damage(lost=0.8),
     "lost 95 %": Damage(lost=0.95),
-    "first 10 lost": Damage(first_lost=10),
-    "first 50 lost": Damage(first_lost=50),
+    "first 20 lost": Damage(first_lost=20),
+    "first 80 lost": Damage(first_lost=80),
     "event jitter .1": Damage(event_jitter_bits=0.1),
     "event jitter .3": Damage(event_jitter_bits=0.3),
     "edge jitter .1": Damage(edge_jitter_bits=0.1),
@@ -153,8 +157,8 @@ class Book:
     def rows(self, section: Section, condition: str) -> Iterator[dict[str, Any]]:
         """Yield the rows of all receivers in a condition."""
         for contender in CONTENDERS[section.protocol]:
-            if condition.startswith(ALARM) and contender.tuned:
-                continue  # what would it be tuned to?
+            if condition.startswith(ALARM) and (contender.tuned or contender.name == GENIE):
+                continue  # what would it be tuned to, and what should a genie know of it?
             key = (section.name, condition, contender.name)
             if key not in self._rows:
                 make = self._alarms if condition.startswith(ALARM) else self._trials
@@ -176,13 +180,17 @@ class Book:
             raise FileError(f"{self._path}: cannot be written: {error}") from None
 
     def _trials(self, section: Section, condition: str, contender: Contender) -> dict[str, Any]:
-        damage = CONDITIONS[condition]
+        damage, slots = CONDITIONS[condition], slots_of(section)
+        trials = (make_trial(section, damage, self.seconds, self.first_seed + i) for i in range(self.runs))
         parameters = tune(section, contender, damage, self.seconds) if contender.tuned else None
-        make, slots = maker(section, contender, parameters), slots_of(section)
-        runs = [
-            run_trial(make_trial(section, damage, self.seconds, self.first_seed + i), make, slots)
-            for i in range(self.runs)
-        ]
+        if contender.name == GENIE:
+            runs = [
+                Scored(score(trial, genie(section, trial), slots), 0.0, trial.seen.until_us / US_PER_S)
+                for trial in trials
+            ]
+        else:
+            make = maker(section, contender, parameters)
+            runs = [run_trial(trial, make, slots) for trial in trials]
         return {"parameters": plain(parameters), **figures(runs, section, slots.payload_bits)}
 
     def _alarms(self, section: Section, condition: str, contender: Contender) -> dict[str, Any]:
@@ -212,7 +220,10 @@ def study_seed(name: str) -> int:
 def sources() -> str:
     """Return a digest of all that the figures depend on: the link, and this bench."""
     beside = Path(__file__).parent
-    own = [beside / name for name in ("bench_link.py", "link_light.py", "link_trials.py", "link_tuning.py")]
+    own = [
+        beside / name
+        for name in ("bench_link.py", "link_genie.py", "link_light.py", "link_trials.py", "link_tuning.py")
+    ]
     digest = hashlib.sha256()
     for path in [*sorted(_LINK.rglob("*.py")), *own]:
         digest.update(path.read_bytes())
@@ -264,6 +275,8 @@ def _warm(sections: list[Section]) -> None:
     for section in sections:
         light = make_trial(section, Damage(event_jitter_bits=0.1), 1.0, 0)
         for contender in CONTENDERS[section.protocol]:
+            if contender.name == GENIE:
+                continue
             run_trial(light, maker(section, contender), slots_of(section))
 
 

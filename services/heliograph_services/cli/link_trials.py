@@ -159,7 +159,7 @@ def score(trial: Trial, read: list[LinkFrame], slots: Slots) -> dict[int, Counts
         slots: the words of the protocol.
     """
     grace_us = max(GRACE_US, GRACE_FRAMES * (trial.frames[0].t1_us - trial.frames[0].t0_us)) if trial.frames else 0.0
-    partner, left = _matched(trial.frames, read)
+    partner, left = matched(trial.frames, read)
     seconds: dict[int, Counts] = {}
     for i, frame in enumerate(trial.frames):
         if frame.t0_us < grace_us:
@@ -183,7 +183,7 @@ def score(trial: Trial, read: list[LinkFrame], slots: Slots) -> dict[int, Counts
     return seconds
 
 
-def _matched(sent: list[Sent], read: list[LinkFrame]) -> tuple[dict[int, LinkFrame], list[LinkFrame]]:
+def matched(sent: list[Sent], read: list[LinkFrame]) -> tuple[dict[int, LinkFrame], list[LinkFrame]]:
     """Return the published frame of each sent one (nearest first, within half a frame), and those left over."""
     read = sorted(read, key=lambda frame: frame.t_us)
     times = [frame.t_us for frame in read]

@@ -16,13 +16,17 @@ from heliograph.link.modulations import modulation
 from heliograph.link.paper import PaperParameters, PaperReceiver
 from heliograph.link.wang2022 import WangParameters, WangReceiver, published
 from heliograph_services.cli.link_light import Damage
-from heliograph_services.cli.link_trials import Make, Section, make_trial, run_trial, slots_of
+from heliograph_services.cli.link_trials import Make, Section, hear, make_trial, matched
 
 DEVELOPMENT_SEEDS: Final = (0, 1, 2, 3)
 # One feed a trial: results do not depend on how the input is cut, and tuning is not timed.
 _WHOLE_US: Final = 1 << 40
 
 Parameters = PaperParameters | WangParameters
+
+
+# Its rows are those of cli/link_genie.py.
+GENIE: Final = "genie"
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,11 +44,13 @@ CONTENDERS: Final = {
         Contender("paper", "paper"),
         Contender("paper, tuned", "paper", tuned=True),
         Contender("binning", "binning"),
+        Contender(GENIE, GENIE),
     ),
     "uart": (
         Contender("ours", "default"),
         Contender("wang2022", "wang2022"),
         Contender("wang2022, tuned", "wang2022", tuned=True),
+        Contender(GENIE, GENIE),
     ),
 }
 
@@ -76,13 +82,16 @@ def maker(section: Section, contender: Contender, parameters: Parameters | None 
 def tune(section: Section, contender: Contender, damage: Damage, seconds: float) -> Parameters:
     """Return the parameters that read most frames of the development trials right."""
     trials = [make_trial(section, damage, seconds, seed) for seed in DEVELOPMENT_SEEDS]
-    slots = slots_of(section)
     best: tuple[tuple[int, int], Parameters] | None = None
     for parameters in grid(section, contender):
         make = maker(section, contender, parameters)
-        runs = [run_trial(trial, make, slots, _WHOLE_US) for trial in trials]
-        counts = [second for run in runs for second in run.seconds.values()]
-        merit = (sum(c.right for c in counts), -sum(c.wrong + c.inserted for c in counts))
+        right = published = 0
+        for trial in trials:
+            frames, _ = hear(make(), trial.seen, _WHOLE_US)
+            partner, _ = matched(trial.frames, frames)
+            right += sum(trial.frames[i].payload == got.payload for i, got in partner.items())
+            published += len(frames)
+        merit = (right, -published)
         if best is None or merit > best[0]:
             best = merit, parameters
     assert best is not None  # noqa: S101 - a grid is never empty
