@@ -292,7 +292,8 @@ def line(row: dict[str, Any]) -> str:
     """Return a row for people, at most 80 columns wide."""
     if "identities" in row:
         kind = row["condition"].removeprefix(ALARM)
-        told = f"{row['identities']} identified in {row['track_s']:g} s, {row['frames']} frames"
+        bound = f"{row['identities']} ids in {row['track_s']:g} s (<= {row['at_most_per_track_hour']:.0f}/h)"
+        told = f"{bound}, {row['frames']} frames"
         return f"  {kind:<16}{row['receiver']:<16}{told:<40}{row['core_share']:>6.3f}"
     sent, received = row["mar_sent"], row["mar_received"]
     interval = f"{sent['value']:.3f} [{sent['low']:.3f} {sent['high']:.3f}]"
