@@ -43,8 +43,9 @@ WINDOW: Final = 0.1
 RUN_NEEDED: Final = 10
 WATCHED: Final = 20
 FAILED_MAX: Final = 10
-# As our receiver of text: the paper's delay_max for a valid track, and time for the run for a new one.
+# As our receiver of text: 2 s or five characters for a valid track, and time for the run for a new one.
 SILENCE_US: Final = 2 * US_PER_S
+SILENCE_CHARACTERS: Final = 5
 NEW_CHARACTERS: Final = 64
 NEW_US: Final = 300_000
 # Characters that one call of the kernel may return.
@@ -148,7 +149,11 @@ class WangReceiver:
 
     def verdict(self, now_us: int) -> Verdict:
         """Return what the track is at now_us."""
-        limit_us = float(SILENCE_US) if self._since_us is not None else self._new_us()
+        character_us = CHARACTER_BITS * self._bit_us
+        if self._since_us is None:
+            limit_us = max(NEW_US, NEW_CHARACTERS * character_us)
+        else:
+            limit_us = max(SILENCE_US, SILENCE_CHARACTERS * character_us)
         heard_us = self._good_us if self._good_us is not None else self._begun_us
         if heard_us is not None and now_us - heard_us > limit_us:
             return "invalid"
@@ -159,9 +164,6 @@ class WangReceiver:
         newest = [ok for t_us, ok in self._recent if now_us - US_PER_S < t_us <= now_us]
         mar = sum(newest) / len(newest) if newest else None
         return LinkQuality(US_PER_S / self._bit_us, None, None, None, None, mar)
-
-    def _new_us(self) -> float:
-        return max(float(NEW_US), NEW_CHARACTERS * CHARACTER_BITS * self._bit_us)
 
     def _take(self, t_us: Times, on: Flags, until_us: float) -> None:
         while True:

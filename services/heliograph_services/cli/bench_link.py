@@ -171,10 +171,11 @@ class Book:
     def _keep(self) -> None:
         if self._path is None:
             return
-        content = {"about": self.about, "machine": this_machine(), "looks": self._looks, "rows": [*self._rows.values()]}
+        head = json.dumps({"about": self.about, "machine": this_machine(), "looks": self._looks}, indent=1)
+        rows = ",\n  ".join(json.dumps(row) for row in self._rows.values())  # a row a line: differences can be read
         beside = self._path.with_suffix(".part")
         try:
-            beside.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+            beside.write_text(f'{head[:-2]},\n "rows": [\n  {rows}\n ]\n}}\n', encoding="utf-8")
             os.replace(beside, self._path)  # noqa: PTH105 - at once, so that a cut run leaves a whole file
         except OSError as error:
             raise FileError(f"{self._path}: cannot be written: {error}") from None
