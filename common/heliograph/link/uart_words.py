@@ -39,6 +39,8 @@ CHAIN_SLACK: Final = 2
 # it slip off the bit grid wherever that fits the noise.
 JUNK_BIT: Final = 1.0
 LEAVE_JUNK: Final = 7.0
+# Sums in another order differ by less than this (1e6 nats hold 1e-10).
+ROUNDING: Final = 1e-6
 
 
 @numba.njit(cache=True, nogil=True)
@@ -185,13 +187,15 @@ def _idle_bin(on: int, off: int, age: int, before: int, tables: Tables) -> float
 @numba.njit(cache=True, nogil=True)
 def _extend_junk(rows: Table, g: int, sub: int, junk: Table, came: Marks) -> None:
     """Extend the chains of free bits that end at g by the bit [g, g + sub)."""
-    contexts = rows.shape[1]
-    for c in range(contexts):
-        low, high = c >> 1, (c >> 1) | (contexts >> 1)
-        source = high if junk[g, high] > junk[g, low] else low
-        if junk[g, source] > NOWHERE:
-            junk[g + sub, c] = junk[g, source] + rows[g, c] - JUNK_BIT
-            came[g + sub, c] = 1 if source == high else 0
+    half = rows.shape[1] >> 1
+    for p in range(half):
+        low, high = junk[g, p], junk[g, p | half]
+        mark = high > low
+        best = high if mark else low
+        junk[g + sub, 2 * p] = best + rows[g, 2 * p] - JUNK_BIT
+        junk[g + sub, 2 * p + 1] = best + rows[g, 2 * p + 1] - JUNK_BIT
+        came[g + sub, 2 * p] = mark
+        came[g + sub, 2 * p + 1] = mark
 
 
 @numba.njit(cache=True, nogil=True)
@@ -248,8 +252,91 @@ def _rows(counts: Counts, start: int, n: int, tables: Tables) -> Table:
 
 
 @numba.njit(cache=True, nogil=True)
+def _best_bits(rows: Table) -> Table:
+    """Return (n, 3): of each row the largest l of all contexts, of those that end in 1, and of those that end in 1 1."""
+    best = np.empty((rows.shape[0], 3))
+    for g in range(rows.shape[0]):
+        dark = lit = longer = NOWHERE
+        for c in range(0, rows.shape[1], 4):
+            dark = max(dark, max(rows[g, c], rows[g, c + 2]))
+            lit = max(lit, rows[g, c + 1])
+            longer = max(longer, rows[g, c + 3])
+        lit = max(lit, longer)
+        best[g, 0], best[g, 1], best[g, 2] = max(dark, lit), lit, longer
+    return best
+
+
+@numba.njit(cache=True, nogil=True)
+def _merge(row: Table, old: Table, old_word: Slots, new: Table, new_word: Slots) -> None:
+    """Extend words of at least five data bits by one; of those that share parity and last four bits keep the likeliest.
+
+    Words are numbered 16 parity + last four bits.
+    """
+    for bit in range(2):
+        for parity in range(2):
+            for m in range(8):
+                low, high = 16 * (parity ^ bit) + m, 16 * (parity ^ bit) + 8 + m
+                a, b = old[low] + row[2 * m + bit], old[high] + row[16 + 2 * m + bit]
+                take = high if b > a or (b == a and old_word[high] < old_word[low]) else low
+                to = 16 * parity + 2 * m + bit
+                new[to] = max(a, b)
+                new_word[to] = 2 * old_word[take] + bit
+
+
+@numba.njit(cache=True, nogil=True)
+def _likeliest(rows: Table, at: int, slots: Slots, before: int, score: Table, words: Slots) -> tuple[int, float]:
+    """Return code and l of `_best_character`.
+
+    What a bit looks like depends on the four before it, and the last three depend on nothing else but the parity: of
+    words that share both only the likeliest goes on. Of equal ones it is the lowest.
+
+    Args:
+        rows: l by sub-bin and context.
+        at: sub-bin of the start bit.
+        slots: (11,) offsets of the bits.
+        before: context of the bit before.
+        score: (2, 32) space to work in.
+        words: (2, 32) space to work in.
+    """
+    mask = rows.shape[1] - 1
+    tree = score[0]
+    tree[0] = rows[at, (before << 1) & mask]
+    for n in range(1, 6):
+        row = rows[at + slots[n]]
+        for p in range((1 << n) - 1, -1, -1):
+            tree[p] = tree[p >> 1] + row[((before << (n + 1)) | p) & mask]
+    for p in range(32):
+        to = 16 * _parity(p) + (p & 15)
+        score[1, to] = tree[p]
+        words[1, to] = p
+    _merge(rows[at + slots[6]], score[1], words[1], score[0], words[0])
+    _merge(rows[at + slots[7]], score[0], words[0], score[1], words[1])
+    best = NOWHERE
+    code = 0
+    checked, stop, last = rows[at + slots[8]], rows[at + slots[9]], rows[at + slots[10]]
+    for state in range(32):
+        word = 2 * (state & 15) + (state >> 4)
+        s = score[1, state] + checked[word] + stop[(2 * word + 1) & mask] + last[(4 * word + 3) & mask]
+        if s > best or (s == best and words[1, state] < code):
+            best, code = s, words[1, state]
+    return code, best
+
+
+@numba.njit(cache=True, nogil=True)
+def _bound(rows: Table, likely: Table, at: int, slots: Slots, before: int) -> float:
+    """Return what no character that begins at `at` exceeds: of each bit the likeliest of its contexts."""
+    most = rows[at, (before << 1) & (rows.shape[1] - 1)] + likely[at + slots[9], 1] + likely[at + slots[10], 2]
+    for n in range(1, 9):
+        most += likely[at + slots[n], 0]
+    return most + ROUNDING
+
+
+@numba.njit(cache=True, nogil=True)
 def explain(counts: Counts, start: int, n: int, slots: Slots, before: int, tables: Tables, path: Slots) -> int:
     """Explain the sub-bins [start, start + n) by characters, idle time and junk (a chain of free bits).
+
+    A character is looked for only where it could matter: a bound on its likelihood (of each bit the likeliest context)
+    must beat the other ways to its end. That changes nothing in the path.
 
     Args:
         counts: (m, 2) int32.
@@ -266,14 +353,18 @@ def explain(counts: Counts, start: int, n: int, slots: Slots, before: int, table
     """
     sub, contexts = tables[1].shape
     rows = _rows(counts, start, n - sub + 1, tables)
+    likely = _best_bits(rows)
     value = np.full(n + 1, NOWHERE)  # of the best path on which a character, idle time or junk ends here
     source = np.zeros(n + 1, np.int64)  # where that began; for junk, the context in which it ends
     kind = np.full(n + 1, IDLE)
     context = np.full(n + 1, contexts - 1)  # of the bit before the idle time
     age = np.zeros(n + 1, np.int64)  # sub-bins of idle time
+    leads = np.zeros(n + 1, np.int64)  # context of the bit before whatever begins here
+    bound = np.full(n + 1, NOWHERE)  # of a character that begins here, with its way up to here; later the character's
+    codes = np.full(n + 1, -1)  # the character that begins here; -1: not looked at
     junk = np.full((n + 1, contexts), NOWHERE)
     came = np.full((n + 1, contexts), ENTERED, np.int8)
-    score = np.empty(128)
+    score, words = np.empty((2, 32)), np.empty((2, 32), np.int64)
     value[0] = 0.0
     if before < 0:
         junk[:sub] = 0.0
@@ -283,6 +374,26 @@ def explain(counts: Counts, start: int, n: int, slots: Slots, before: int, table
     length = round((slots[-1] * slots.shape[0]) / (slots.shape[0] - 1.0))
     for g in range(n + 1):
         best = junk[g].argmax()
+        otherwise = junk[g, best] - LEAVE_JUNK
+        idle = NOWHERE
+        if g > 0 and value[g - 1] != NOWHERE:
+            a = g - 1
+            idle = value[a] + _idle_bin(counts[start + a, 0], counts[start + a, 1], age[a], context[a], tables)
+            otherwise = max(otherwise, idle)
+        for a in range(max(g - length - CHAIN_SLACK, 0), g - length + CHAIN_SLACK + 1):
+            slack = 0.5 * ((g - a - length) / SLACK_SIGMA) ** 2
+            if bound[a] - slack < max(otherwise, value[g]):
+                continue
+            if codes[a] < 0:
+                codes[a], likelihood = _likeliest(rows, a, slots, leads[a], score, words)
+                bound[a] = value[a] + likelihood
+            after = bound[a] - slack
+            if after > value[g]:
+                value[g], source[g], kind[g], age[g] = after, a, codes[a], 0
+                context[g] = ((codes[a] << 3) | (_parity(codes[a]) << 2) | 3) & (contexts - 1)
+        if idle > value[g]:
+            value[g], source[g], kind[g] = idle, g - 1, IDLE
+            context[g], age[g] = context[g - 1], min(age[g - 1] + 1, (IDLE_BITS + 1) * sub)
         if junk[g, best] - LEAVE_JUNK > value[g]:
             value[g], source[g], kind[g], context[g], age[g] = junk[g, best] - LEAVE_JUNK, best, JUNK, best, 0
         ones = min(age[g] // sub, IDLE_BITS)
@@ -291,20 +402,9 @@ def explain(counts: Counts, start: int, n: int, slots: Slots, before: int, table
             junk[g, b], came[g, b] = value[g], ENTERED
         if g + sub <= n:
             _extend_junk(rows, g, sub, junk, came)
-        if g == n or value[g] == NOWHERE:
-            continue
-        after = value[g] + _idle_bin(counts[start + g, 0], counts[start + g, 1], age[g], context[g], tables)
-        if after > value[g + 1]:
-            value[g + 1], source[g + 1], kind[g + 1] = after, g, IDLE
-            context[g + 1], age[g + 1] = context[g], min(age[g] + 1, (IDLE_BITS + 1) * sub)
-        if g + slots[-1] + sub > n:
-            continue
-        code, likelihood, _ = _best_character(rows, g, slots, b, score)
-        for end in range(g + length - CHAIN_SLACK, min(g + length + CHAIN_SLACK, n) + 1):
-            after = value[g] + likelihood - 0.5 * ((end - g - length) / SLACK_SIGMA) ** 2
-            if after > value[end]:
-                value[end], source[end], kind[end], age[end] = after, g, code, 0
-                context[end] = ((code << 3) | (_parity(code) << 2) | 3) & (contexts - 1)
+        if value[g] != NOWHERE and g + slots[-1] + sub <= n:
+            leads[g] = b
+            bound[g] = value[g] + _bound(rows, likely, g, slots, b)
     last, c = _last(rows, junk, sub)
     return _trace(last, c, sub, source, kind, came, path)
 
