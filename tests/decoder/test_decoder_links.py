@@ -108,18 +108,18 @@ def test_a_receiver_that_has_given_up_is_made_anew_where_the_track_goes_on() -> 
 
 
 def test_an_unknown_bit_rate_is_measured_and_nothing_heard_meanwhile_is_lost() -> None:
-    disc = Disc(5, still(100, 100), lit_us=(1_500_000, 9_000_000))
-    batch = scene([disc, Disc(5, still(100, 100), lit_us=(0, 10_000))], 0, 2_500_000, WIDTH, HEIGHT)
+    disc = Disc(5, still(100, 100), lit_us=(3_000_000, 9_000_000))
+    batch = scene([disc, Disc(5, still(100, 100), lit_us=(0, 10_000))], 0, 4_000_000, WIDTH, HEIGHT)
     asked: list[int] = []
 
-    def measure(t_us: Times, on: Flags) -> float | None:
+    def measure(t_us: Times, on: Flags) -> tuple[float, ...]:
         asked.append(len(t_us))
-        return 100.0 if len(t_us) > 200 else None
+        return (100.0,) if len(t_us) > 200 else ()
 
     config = DecoderConfig(protocol="pulse", bit_rate="auto")
     decoder = DecoderCore(config, LIVE, modulation_of=pulse_only, measure=measure)
-    told = [(t + 20_000, tracks(t, [("a-0", disc, 0)])) for t in range(0, 2_500_000, 100_000)]
-    out = run(decoder, batch, told, 2_500_000)
+    told = [(t + 20_000, tracks(t, [("a-0", disc, 0)])) for t in range(0, 4_000_000, 100_000)]
+    out = run(decoder, batch, told, 4_000_000)
     assert decoder.refusals[Refusal.NO_CLOCK] == 1
     assert len(asked) < 10
     ends = [t for one in out if isinstance(one, Frames) for t in one.t_us]
@@ -200,7 +200,7 @@ def test_fast_links_hear_the_core_slow_ones_the_heart_those_between_the_whole(
     listed = [Beacon(name=f"b{rate}", protocol="pulse", payload=1, bit_rate=rate) for rate in (50, 1_000, 4_000)]
     given = {"protocol": "pulse", "bit_rate": "auto"} if measured else {"beacons": tuple(listed)}
     config = DecoderConfig(core_bit_rate=4_000.0, heart_bit_rate=50.0, **given)
-    plan = LinkPlan(config, noted, lambda t_us, on: 4_000.0)
+    plan = LinkPlan(config, noted, lambda t_us, on: (4_000.0,))
     made.clear()
     links = TrackLinks(plan)
     depth = np.array([0, 1, 2, 0, 1], np.uint8)

@@ -9,7 +9,8 @@ from heliograph.link.step_response import SUB_BINS, StepResponse, cold_rates
 from heliograph.link.sub_bins import LEAD_BINS, QUIET_BINS, SubBins
 from heliograph.link.uart_layout import CONTEXTS, IDLE_CONTEXT, character_bits
 from heliograph.link.uart_lock import LOCK_BINS, lock
-from heliograph.link.uart_words import IDLE, explain, near, skip_idle, slots_of
+from heliograph.link.uart_paths import IDLE, explain
+from heliograph.link.uart_words import near, skip_idle, slots_of
 from reference import uart_plain
 from support.text_light import TextLight, watch_text
 

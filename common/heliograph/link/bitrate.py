@@ -1,22 +1,33 @@
-"""A first guess of an unknown bit rate, good to a few per cent: what the receiver's own clock (+-2.5 %) starts from.
+"""First guesses of an unknown bit rate, each good to a per cent: what the receivers' own clocks (+-2.5 %) start from.
 
-An NRZ signal changes at whole numbers of bits. Bursts of one polarity are reduced to their first event (the better
-clock than a majority); the intervals d_i between successive changes are then k_i T + noise, k_i = 1, 2, 3, ... For a
-candidate T::
+Changes. With S the sum of the signed events so far (ON +1, OFF -1), the light changes where S turns: it rises by h
+above its last least value, or falls by h below its last greatest. Lone events and tails of the other polarity turn
+nothing. A change is timed by its first event, with h a third of the usual swing; noise hides that event, so it is also
+timed by the one that completes h, half of the usual swing, and what is more coherent counts.
 
-    C(T) = mean_i cos(2 pi d_i / T)
+Rate. An NRZ signal changes at whole numbers of bits. The intervals d_i between changes of the same polarity are k_i T +
+noise, k_i = 2, 3, ..., whatever the delay of that polarity; of each change the next and the next but one are taken. The
+intervals between a rise and the next fall have one common offset, those between a fall and the next rise the opposite
+one. For a candidate T::
 
-is near 1 at the true T and at T / 2, T / 3, ...: the longest T with C within a tenth of the best is taken. All changes
-of one polarity share their delay, so intervals between equal changes (ON to ON, OFF to OFF) are used: they do not
-depend on the delays of the two polarities, nor on the tail of the slower one.
+    C(T) = min( mean_i cos(2 pi d_i / T),  1.5 sqrt((|E_rf|^2 + |E_fr|^2) / 2) )        E = mean_j exp(2 pi j d_j / T)
 
-A periodic light (a lamp, a word with a single run of ones) has one interval alone. Its T would be a guess: refused.
+is near 1 at the true T and at T / 2, T / 3, ...; among n random intervals the first exceeds x with the chance
+exp(-n x^2), and the second tells T from 2 T where a word's intervals happen to be even. A bit is at most half of an
+interval between equal changes.
+
+The highest peak need not be the right one: a sensor that is read out in scans shows all changes on the grid of its
+scans (of rate s: C near 1), and has images at k s +- 1/T; and a short word has few intervals. So several are named, and
+who reads something decides; fractions of a longer bit that are no more coherent, and images, are left out. A periodic
+light (a lamp, a word with a single run of ones) has one interval alone: its T would be a guess.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
+import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -25,18 +36,37 @@ from heliograph.units import US_PER_S
 
 Floats = npt.NDArray[np.float64]
 
-# Changes used at most: enough for any code, and a bound on the work (200 x 2000 cosines, 10 ms).
+# Changes used at most, the newest: enough for any code, and a bound on the work (800 x 1200 turns, 10 ms).
 CHANGES: Final = 400
-CHANGES_LEAST: Final = 24
-# Candidates lie this far apart, as a share: a tenth of a turn at the longest run of 10 bits.
+INTERVALS_LEAST: Final = 24
+# h, in swings to which half of all that S moves belongs; and whether the first event is the time.
+TURNS: Final = ((1.0 / 3.0, True), (1.0 / 2.0, False))
+# How often h is measured anew from the swings that it yields: noise that splits none is left after the second.
+ROUNDS: Final = 3
+# 50 bit/s to 20 kbit/s, and clocks that are 3 % off.
+F_MIN: Final = 48.5
+F_MAX: Final = 20_600.0
+# Candidates lie this far apart, as a share: a tenth of a turn at the longest run of 20 bits.
 RESOLUTION: Final = 0.005
-COHERENT: Final = 0.5
+# exp(-n C^2) for random intervals, times some 500 periods that are independent: one in a thousand.
+SURPRISE: Final = 13.0
+# Below it a rate is not worth a receiver, however many intervals there are: slow lights are a little coherent anywhere.
+COHERENT: Final = 0.25
+# Of the highest peak: that of a sensor's scans is 1, that of bits of 2.5 scans .5.
+OF_THE_BEST: Final = 0.35
+SCANNED: Final = 0.85
+IMAGE: Final = 0.01  # of the rate: as far as an image may lie from where it mirrors
+# Receivers cost what their bits cost.
+RATES: Final = 6
+# Candidates this near to a whole fraction of a longer one, as a share, are that one's.
+FRACTION: Final = 0.02
+BETTER: Final = 0.1
 # Intervals this near to their median, as a share, are the same: a lamp's flicker keeps 1 %, jitter adds the rest.
 PERIODIC_SPREAD: Final = 0.06
 
 
-def estimate_bit_rate(t_us: Times, on: Flags, f_min: float = 50.0, f_max: float = 20_000.0) -> float | None:
-    """Return the likely bit rate of one light's events, or None.
+def likely_bit_rates(t_us: Times, on: Flags, f_min: float = F_MIN, f_max: float = F_MAX) -> tuple[float, ...]:
+    """Return the likely bit rates of one light's events, the lowest first; none where none is likely.
 
     Args:
         t_us: (n,) event times, not falling.
@@ -45,36 +75,86 @@ def estimate_bit_rate(t_us: Times, on: Flags, f_min: float = 50.0, f_max: float 
         f_max: highest.
 
     Returns:
-        Bits a second; None when there are too few changes, none fits, or the light is periodic.
+        At most `RATES` rates, bit/s; none when there are too few changes, none fits, or the light is periodic.
 
     Raises:
         ValueError: 0 < f_min < f_max does not hold.
     """
     if not 0.0 < f_min < f_max:
         raise ValueError(f"f_min and f_max must obey 0 < f_min < f_max, not {f_min}, {f_max}")
-    intervals = _intervals(t_us, on, US_PER_S / f_max)
-    if len(intervals) < CHANGES_LEAST or _periodic(intervals):
-        return None
-    return _longest_coherent(intervals, US_PER_S / f_max, US_PER_S / f_min)
+    likely: list[tuple[float, float]] = []
+    for share, by_first in TURNS:
+        at_us, rises = _changes(t_us, on, share, by_first=by_first)
+        intervals = _alike(at_us, rises)
+        if len(intervals) < INTERVALS_LEAST:
+            continue
+        if _periodic(intervals):
+            return ()
+        likely = max(likely, _coherent(at_us, rises, US_PER_S / f_max, US_PER_S / f_min))
+    return tuple(sorted(US_PER_S / bit_us for _, bit_us in likely))
 
 
-def _intervals(t_us: Times, on: Flags, least_us: float) -> Floats:
+@numba.njit(cache=True, nogil=True)
+def _turns(on: Flags, least: float, by_first: bool, at: npt.NDArray[np.int64], swing: Floats) -> int:
+    """Find where S turns by `least` or more.
+
+    Args:
+        on: (n,) polarities.
+        least: h.
+        by_first: a turn is where its first event is; otherwise where it is complete.
+        at: (n,) out: the event of each turn; turns alternate.
+        swing: (n,) out: what S moves from it to the next turn, > 0 where that is a rise.
+
+    Returns:
+        The number of turns.
+    """
+    total = low = high = 0
+    low_at = high_at = -1
+    rising = falling = False
+    turns = 0
+    for i in range(len(on)):
+        total += 1 if on[i] else -1
+        if not rising and total - low >= least:
+            if falling:
+                swing[turns - 1] = low - high
+            at[turns] = low_at + 1 if by_first else i
+            turns, rising, falling = turns + 1, True, False
+            high, high_at = total, i
+        elif not falling and high - total >= least:
+            if rising:
+                swing[turns - 1] = high - low
+            at[turns] = high_at + 1 if by_first else i
+            turns, rising, falling = turns + 1, False, True
+            low, low_at = total, i
+        if not falling and total >= high:
+            high, high_at = total, i
+        if not rising and total <= low:
+            low, low_at = total, i
+    if turns:
+        swing[turns - 1] = high - low if rising else low - high
+    return turns
+
+
+def _changes(t_us: Times, on: Flags, share: float, *, by_first: bool) -> tuple[Floats, Flags]:
+    """Return the times of the light's changes, at most `CHANGES`, and whether they are rises; they alternate."""
+    # A kernel is compiled anew for arrays that may not be written, such as those that came over a wire.
+    on = np.require(on, requirements=("C", "W"))
+    at, swing = np.empty(len(on), np.int64), np.empty(len(on))
+    least, turns = 1.0, 0
+    for _ in range(ROUNDS):
+        turns = _turns(on, least, by_first, at, swing)
+        sizes = np.sort(np.abs(swing[:turns]))[::-1]
+        if not turns:
+            break
+        moved = np.cumsum(sizes)
+        least = max(1.0, share * float(sizes[np.searchsorted(moved, 0.5 * moved[-1])]))
+    newest = slice(max(turns - CHANGES, 0), turns)
+    return t_us[at[newest]].astype(np.float64), swing[newest] > 0.0
+
+
+def _alike(at_us: Floats, rises: Flags) -> Floats:
     """Return the intervals between successive changes of the same polarity."""
-    if len(t_us) < 3:
-        return np.empty(0)
-    first = np.flatnonzero(np.concatenate([np.ones(1, np.bool_), on[1:] != on[:-1]]))
-    size = np.diff(np.concatenate([first, [len(on)]]))
-    # Lone events between bursts are noise, or motion: a burst counts when it has a third of the usual size, which is
-    # that of the burst to which half of all *events* belong, however many lone ones there are.
-    largest = np.sort(size)[::-1]
-    usual = float(largest[np.searchsorted(np.cumsum(largest), 0.5 * len(on))])
-    strong = first[size >= max(1.0, usual / 3.0)]
-    polarity = on[strong]
-    change = np.concatenate([np.ones(1, np.bool_), polarity[1:] != polarity[:-1]])
-    starts, polarity = t_us[strong][change][:CHANGES], polarity[change][:CHANGES]
-    rises, falls = starts[polarity], starts[~polarity]
-    both = np.concatenate([np.diff(rises), np.diff(falls)]).astype(np.float64)
-    return both[both > least_us]
+    return np.concatenate([np.diff(at_us[rises]), np.diff(at_us[~rises])])
 
 
 def _periodic(intervals: Floats) -> bool:
@@ -83,31 +163,84 @@ def _periodic(intervals: Floats) -> bool:
     return float(np.mean(np.abs(intervals - middle) < PERIODIC_SPREAD * middle)) > 0.9
 
 
-def _longest_coherent(intervals: Floats, shortest_us: float, longest_us: float) -> float | None:
-    # A bit is no longer than half the shortest interval between equal changes.
-    top_us = min(longest_us, 0.6 * float(np.percentile(intervals, 5)))
+@numba.njit(cache=True, nogil=True)
+def _coherence(at_us: Floats, first_rises: bool, bits_us: Floats, coherence: Floats) -> None:
+    """Fill coherence with C of each bit length; at_us are changes that alternate."""
+    n = len(at_us)
+    for k in range(len(bits_us)):
+        turn = 2.0 * math.pi / bits_us[k]
+        alike = 0.0
+        sums = np.zeros(4)
+        # Products of the last interval, of the last two, and of the two before the last: the changes' own phases.
+        re1 = im1 = re2 = im2 = older_re = older_im = 0.0
+        for i in range(1, n):
+            angle = turn * (at_us[i] - at_us[i - 1])
+            re, im = math.cos(angle), math.sin(angle)
+            side = 2 if (i & 1) == first_rises else 0
+            sums[side] += re
+            sums[side + 1] += im
+            two_re, two_im = re * re1 - im * im1, re * im1 + im * re1
+            if i > 1:
+                alike += two_re
+            if i > 3:
+                alike += two_re * older_re - two_im * older_im
+            re1, im1 = re, im
+            older_re, older_im, re2, im2 = re2, im2, two_re, two_im
+        half = 0.5 * (n - 1)
+        apart = (sums[0] ** 2 + sums[1] ** 2 + sums[2] ** 2 + sums[3] ** 2) / (2.0 * half * half)
+        coherence[k] = min(alike / (2 * n - 6), 1.5 * math.sqrt(apart))
+
+
+def _coherent(at_us: Floats, rises: Flags, shortest_us: float, longest_us: float) -> list[tuple[float, float]]:
+    """Return (C, bit) of at most `RATES` bits whose C stands out, the greatest C first."""
+    intervals = _alike(at_us, rises)
+    # Half of the median interval is a bit or more; noise and jitter add a tenth.
+    top_us = min(longest_us, 0.55 * float(np.median(intervals)))
     if top_us <= shortest_us:
-        return None
-    count = int(np.log(top_us / shortest_us) / RESOLUTION) + 2
-    periods = np.geomspace(shortest_us, top_us, count)
-    coherence = np.array([np.cos(2.0 * np.pi * intervals / period).mean() for period in periods])
-    best = float(coherence.max())
-    if best < COHERENT:
-        return None
-    good = np.flatnonzero(coherence >= best - 0.1)
-    # The longest group of neighbours that fit, and in it the best.
-    last = int(good[-1])
-    begin = last
-    while begin > 0 and coherence[begin - 1] >= best - 0.1:
-        begin -= 1
-    chosen = begin + int(np.argmax(coherence[begin : last + 1]))
-    return float(US_PER_S / _refined(intervals, float(periods[chosen])))
+        return []
+    bits_us = np.geomspace(shortest_us, top_us, int(math.log(top_us / shortest_us) / RESOLUTION) + 2)
+    coherence = np.empty(len(bits_us))
+    _coherence(at_us, bool(rises[0]), bits_us, coherence)
+    around = np.concatenate([[-1.0], coherence, [-1.0]])
+    peaks = np.flatnonzero((coherence >= around[:-2]) & (coherence > around[2:]))
+    least = max(COHERENT, math.sqrt(SURPRISE / len(intervals)), OF_THE_BEST * float(coherence.max()))
+    found: list[tuple[float, float]] = []
+    for peak in peaks[coherence[peaks] >= least][::-1]:
+        bit_us, c = _refined(intervals, float(bits_us[peak])), float(coherence[peak])
+        if not any(_is_fraction(longer_us / bit_us) and c < longer_c + BETTER for longer_c, longer_us in found):
+            found.append((c, bit_us))
+    return sorted(_without_images(found), reverse=True)[:RATES]
 
 
-def _refined(intervals: Floats, period_us: float) -> float:
-    """Return the period by least squares through d_i = k_i T."""
-    k = np.round(intervals / period_us)
-    use = (k > 0) & (np.abs(intervals - k * period_us) < 0.25 * period_us)
+def _is_fraction(ratio: float) -> bool:
+    return abs(ratio - round(ratio)) < FRACTION * ratio
+
+
+def _without_images(found: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Leave out the rates that mirror a lower one at a multiple of a scan's rate; found is (C, bit)."""
+    for scan in [US_PER_S / bit_us for c, bit_us in found if c > SCANNED]:
+        kept: list[tuple[float, float]] = []
+        offsets: list[float] = []
+        for c, bit_us in sorted(found, key=lambda one: -one[1]):
+            rate = US_PER_S / bit_us
+            offset = abs(rate - scan * round(rate / scan))
+            if rate == scan or not any(abs(offset - other) < IMAGE * rate for other in offsets):
+                kept.append((c, bit_us))
+                offsets.append(offset)
+        found = kept
+    return found
+
+
+def _refined(intervals: Floats, bit_us: float) -> float:
+    """Return the bit by least squares through d_i = k_i T."""
+    k = np.round(intervals / bit_us)
+    use = (k > 0) & (np.abs(intervals - k * bit_us) < 0.25 * bit_us)
     if not use.any():
-        return period_us
+        return bit_us
     return float((k[use] * intervals[use]).sum() / (k[use] ** 2).sum())
+
+
+def warm() -> None:
+    """Compile, or load from the cache, the kernels of this module."""
+    _changes(np.arange(2), np.array([True, False]), 0.5, by_first=True)
+    _coherence(np.arange(5.0), True, np.ones(1), np.empty(1))

@@ -25,7 +25,8 @@ from heliograph.errors import Refusal
 from heliograph.link.step_response import SUB_BINS, Counts
 from heliograph.link.uart_layout import CHARACTER_BITS, IDLE_CONTEXT
 from heliograph.link.uart_lock import CLOCK_MAX, WORDS, Lock, is_good
-from heliograph.link.uart_words import IDLE, explain, near, skip_idle, slots_of
+from heliograph.link.uart_paths import IDLE, explain
+from heliograph.link.uart_words import near, skip_idle, slots_of
 
 REACH: Final = 6  # 3/8 bit: the clock is held to a few sub-bins; half a bit would let in the neighbouring framing
 REACH_AFTER_IDLE: Final = 10

@@ -1,6 +1,6 @@
 """Cold start of the text receiver: from the events alone to the LED's response, the bit clock and the framing.
 
-A stretch of sixteen characters is explained (`uart_words.explain`) with a parametric response, the response is learned
+A stretch of sixteen characters is explained (`uart_paths.explain`) with a parametric response, the response is learned
 from that explanation, and again, four times: expectation and maximisation with hard decisions, on short contexts at
 first, so that an early mistake is outvoted rather than learned by heart.
 """
@@ -16,7 +16,8 @@ import numpy as np
 
 from heliograph.link.step_response import SHRINK_BITS, SUB_BINS, Counts, StepResponse
 from heliograph.link.uart_layout import CHARACTER_BITS, IDLE_CONTEXT, word_table
-from heliograph.link.uart_words import Slots, explain, near, slots_of
+from heliograph.link.uart_paths import explain
+from heliograph.link.uart_words import Slots, near, slots_of
 
 CHARACTER_BINS: Final = CHARACTER_BITS * SUB_BINS
 # Ten characters to identify a beacon, and a few that the stretch's ends cut; with 12 a third of the starts fail on the
@@ -26,9 +27,9 @@ LOCK_BINS: Final = LOCK_CHARACTERS * CHARACTER_BINS
 # Weight of the shorter contexts in each round of learning: at first only the last two bits of a context count, so that
 # a wrong character is not learned by heart from its own events.
 ROUNDS: Final = (400.0, 40.0, 12.0, SHRINK_BITS)
-# Good characters after each round, fewer than which have never become a lock: with ten sorts of light, and both recordings
-# with 2 % of their events and more, there were 1 to 15, 6 to 15 and 6 to 15; where a change makes one event, 1, 6 and 7.
-# Noise, lamps and texture mostly show none after the first round, and cost no more than that.
+# Fewest good characters after each round. Light that became a lock (17 kinds of text, both recordings with 2 % of their
+# events and more) showed 1 to 15, 6 to 15 and 6 to 15 of them; noise, lamps and texture mostly show none after the
+# first round, and cost no more than that.
 PROMISING: Final = (1, 3, 5)
 # Fewer events than this in the stretch (three a character) teach nothing: the LED idles, or is too far away.
 LOCK_EVENTS: Final = 3 * LOCK_CHARACTERS

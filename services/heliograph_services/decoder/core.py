@@ -25,7 +25,8 @@ from heliograph.streams import Events
 from heliograph_services.decoder.config import AUTO, DecoderConfig
 from heliograph_services.decoder.following import Following
 from heliograph_services.decoder.identities import Identities
-from heliograph_services.decoder.links import Decided, LinkPlan, Measure, ModulationOf
+from heliograph_services.decoder.links import Decided, LinkPlan, ModulationOf
+from heliograph_services.decoder.measuring import Measure
 from heliograph_services.decoder.publish import BearingOf, FrameRow, Publisher, StatusRow
 from heliograph_services.decoder.schedule import Schedule
 from heliograph_services.decoder.stream import EventStream, Window, fault
@@ -42,7 +43,7 @@ class DecoderCore:
         context: its process.
         camera_text: the camera file's text; empty for none.
         modulation_of: makes a modulation of its name and options; another one in tests.
-        measure: estimates a bit rate, for bit_rate "auto"; another one in tests.
+        measure: names likely bit rates, for bit_rate "auto"; another one in tests.
 
     Raises:
         ConfigError: a modulation, receiver or option is unknown, or the camera file is not sound.
@@ -309,12 +310,12 @@ def _bearing(camera_text: str) -> BearingOf | None:
 
 
 def _measure(config: DecoderConfig) -> Measure | None:
-    """Return what estimates a bit rate where one is to be measured."""
+    """Return what names likely bit rates where one is to be measured."""
     if config.beacons or config.bit_rate != AUTO:
         return None
-    from heliograph.link.bitrate import estimate_bit_rate  # noqa: PLC0415 - only where it is asked for
+    from heliograph.link.bitrate import likely_bit_rates  # noqa: PLC0415 - only where it is asked for
 
-    return estimate_bit_rate
+    return likely_bit_rates
 
 
 def make_core(config: DecoderConfig, context: Context, camera_text: str = "") -> DecoderCore:

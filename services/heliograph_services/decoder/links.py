@@ -1,6 +1,8 @@
 """Which links a site has, and the receivers of one track: a contest until one of them accepts an identity.
 
-A *link* is what a receiver must know beforehand: protocol, bit rate, options. A track is heard by one receiver a link.
+A *link* is what a receiver must know beforehand: protocol, bit rate, options. A track is heard by one receiver a link;
+where the bit rate is to be measured, by one for each rate that is likely, and if none of them reads anything in a fair
+time, the rate is measured again.
 The first to accept wins, the others rest until it is lost; of two in one window the larger margin wins. A frame decided
 during a contest cannot be attributed yet, so it is held, for `CONTEST_US` at most; where a site has one link alone
 nothing is held.
@@ -17,15 +19,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final
 
-import numpy as np
-
-from heliograph.errors import ConfigError, Refusal, Refusals
+from heliograph.errors import ConfigError, Refusals
 from heliograph.events import Flags, Times
 from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Modulation, Receiver, Text, Verdict
 from heliograph.link.modulations import modulation, names
 from heliograph.site import Beacon
 from heliograph.units import BIT_RATE_MIN
 from heliograph_services.decoder.config import AUTO, DecoderConfig
+from heliograph_services.decoder.measuring import Measure, Measuring
 from heliograph_services.decoder.region_state import Depths
 from heliograph_services.decoder.routing import CORE_OF, HEART_OF
 
@@ -39,15 +40,13 @@ RETRY_US: Final = 2_000_000
 # The longest frame of the stored codes (20 bits) and of text (11) is shorter; only the loss of slow links heeds it.
 FRAME_BITS: Final = 20
 LOSS_FRAMES: Final = 5
-# To measure a bit rate: try after each quarter of a second, give up after one, keep half for the next attempt.
-MEASURE_US: Final = 250_000
-MEASURE_LIMIT_US: Final = 1_000_000
-MEASURE_EVENTS: Final = 500_000
+# What nobody has read in so many bits is not at these rates: a text needs 180, and a cold start may fail twice.
+TRIAL_US: Final = 2_000_000
+TRIAL_BITS: Final = 500
 FOREVER_US: Final = 2**60
 
 Options = tuple[tuple[str, str | int], ...]
 ModulationOf = Callable[..., Modulation]
-Measure = Callable[[Times, Flags], float | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +71,7 @@ class LinkPlan:
     Args:
         config: the decoder's settings.
         modulation_of: makes a modulation of its name and options.
-        measure: estimates a bit rate; None where none can be measured.
+        measure: names likely bit rates; None where none is to be measured.
 
     Raises:
         ConfigError: a modulation, an option, a payload or a receiver is unknown.
@@ -235,9 +234,9 @@ class TrackLinks:
         self._contenders: list[_Contender] = []
         self._winner: _Contender | None = None
         self._refusals = Refusals()
-        self._kept: list[tuple[Times, Flags, Depths]] = []
-        self._rate: float | None = None
-        self._try_us: int | None = None
+        self._measuring = Measuring(plan.measure)
+        self._rates: tuple[float, ...] = ()  # measured ones
+        self._entered_us = 0  # since when they have been tried
         self.contested = 0  # windows in which two links accepted at once
         self.outvoted = 0  # frames of links that lost the contest
         if all(row.key.bit_rate is not None for row in plan.rows):
@@ -245,9 +244,10 @@ class TrackLinks:
 
     def _enter(self, links: range | list[int]) -> None:
         for link in links:
-            rate = self._plan.rows[link].key.bit_rate or self._rate or 1000.0
-            self._contenders.append(_Contender(link, self._plan.receiver(link, rate), rate))
-        self._contenders.sort(key=lambda one: one.link)
+            known = self._plan.rows[link].key.bit_rate
+            for rate in self._rates if known is None else (known,):
+                self._contenders.append(_Contender(link, self._plan.receiver(link, rate), rate))
+        self._contenders.sort(key=lambda one: (one.link, one.bit_rate))
 
     def feed(self, t_us: Times, on: Flags, depth: Depths, until_us: int) -> list[Decided]:
         """Take the track's events before until_us (see Receiver.feed); return what is published of them.
@@ -259,10 +259,12 @@ class TrackLinks:
             until_us: there are no more events before this time.
         """
         if not self._contenders:
-            measured = self._measured(t_us, on, depth, until_us)
+            measured = self._measuring.feed(t_us, on, depth, until_us)
             if measured is None:
                 return []
-            t_us, on, depth = measured
+            self._rates, (t_us, on, depth) = measured
+            self._entered_us = until_us
+            self._enter(range(len(self._plan.rows)))
         for one in self._contenders:
             heard = depth >= self._plan.depth(one.link, one.bit_rate)
             one.held += one.receiver.feed(t_us[heard], on[heard], until_us)
@@ -279,24 +281,45 @@ class TrackLinks:
         if self._winner is not None and not self._supported(self._winner, now_us):
             self._winner = None
             absent = [i for i in range(len(self._plan.rows)) if all(one.link != i for one in self._contenders)]
+            self._entered_us = now_us
             self._enter(absent)
         elif self._winner is None:
             self._vote(now_us)
         self._renew(now_us)
         newest_us = now_us + 1 if len(self._contenders) == 1 else now_us - hold_us
+        if self._hopeless(now_us):
+            newest_us = now_us + 1
         out: list[Decided] = []
         for one in self._contenders:
             out += [Decided(one.link, item) for item in one.held if item.t_us <= newest_us]
             one.held = [item for item in one.held if item.t_us > newest_us]
+        if self._hopeless(now_us):
+            self._measure_anew()
         return out
+
+    def _hopeless(self, now_us: int) -> bool:
+        """Return whether nobody has read anything at the measured rates for long enough."""
+        if self._winner is not None or not self._rates or not self._contenders:
+            return False
+        trial_us = max(TRIAL_US, round(TRIAL_BITS * 1e6 / min(self._rates)))
+        if now_us - self._entered_us < trial_us:
+            return False
+        # A beacon that changes its payload with every frame is nobody's, and read.
+        return all(one.receiver.verdict(now_us) != "valid" for one in self._contenders)
+
+    def _measure_anew(self) -> None:
+        for one in self._contenders:
+            self._count(one)
+        self._contenders, self._rates = [], ()
 
     def _vote(self, now_us: int) -> None:
         accepting = [one for one in self._contenders if self._supported(one, now_us)]
         if not accepting:
             return
-        margins = {one.link: identity.margin for one in accepting if (identity := one.receiver.identity())}
-        self._winner = max(accepting, key=lambda one: (margins[one.link], -one.link))
+        self._winner = max(accepting, key=lambda one: (_margin(one), -one.link))
         self.contested += len(accepting) > 1
+        if self._rates:
+            self._rates = (self._winner.bit_rate,)
         for one in self._contenders:
             if one is not self._winner:
                 self._count(one)
@@ -321,31 +344,6 @@ class TrackLinks:
         if identity is None or one.receiver.verdict(now_us) == "invalid":
             return False
         return now_us - identity.t_us <= self._plan.loss_after_us(one.link, one.bit_rate)
-
-    def _measured(self, t_us: Times, on: Flags, depth: Depths, until_us: int) -> tuple[Times, Flags, Depths] | None:
-        """Collect events until a bit rate is found; then enter the receivers and return what they are to hear."""
-        if len(t_us) and sum(len(kept[0]) for kept in self._kept) < MEASURE_EVENTS:
-            self._kept.append((t_us, on, depth))
-        if not self._kept:
-            return None
-        first_us = int(self._kept[0][0][0])
-        if self._try_us is None:
-            self._try_us = first_us + MEASURE_US
-        if until_us < self._try_us:
-            return None
-        all_t = np.concatenate([kept[0] for kept in self._kept])
-        all_on, all_depth = (np.concatenate([kept[k] for kept in self._kept]) for k in (1, 2))
-        self._rate = self._plan.measure(all_t, all_on) if self._plan.measure is not None else None
-        if self._rate is not None:
-            self._kept = []
-            self._enter(range(len(self._plan.rows)))
-            return all_t, all_on, all_depth
-        self._try_us = until_us + MEASURE_US
-        if until_us - first_us >= MEASURE_LIMIT_US:
-            self._refusals[Refusal.NO_CLOCK] += 1
-            late = int(np.searchsorted(all_t, until_us - MEASURE_LIMIT_US // 2))
-            self._kept = [(all_t[late:], all_on[late:], all_depth[late:])] if late < len(all_t) else []
-        return None
 
     def accepted(self, now_us: int) -> Accepted | None:
         """Return the identity that the track holds at now_us."""
@@ -379,4 +377,11 @@ class TrackLinks:
         for one in self._contenders:
             self._count(one)
         taken, self._refusals = self._refusals, Refusals()
+        taken.update(self._measuring.refusals)
+        self._measuring.refusals.clear()
         return taken
+
+
+def _margin(one: _Contender) -> float:
+    identity = one.receiver.identity()
+    return 0.0 if identity is None else identity.margin
