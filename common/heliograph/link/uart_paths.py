@@ -203,14 +203,15 @@ def _bound(rows: Table, likely: Table, at: int, slots: Slots, before: int) -> fl
     return most + ROUNDING
 
 
-@numba.njit(nogil=True)
+# The two that follow are called at every sub-bin; calls that pass so many arrays cost half as much again.
+@numba.njit(nogil=True, inline="always")
 def _lead(context: int, age: int, sub: int, contexts: int) -> int:
     """Return the context of the last bit of idle time, age sub-bins after the bit of `context`."""
     ones = min(age // sub, IDLE_BITS)
     return contexts - 1 if ones == IDLE_BITS else ((context << ones) | ((1 << ones) - 1)) & (contexts - 1)
 
 
-@numba.njit(nogil=True)
+@numba.njit(nogil=True, inline="always")
 def _character_to(
     g: int, otherwise: float, rows: Table, slots: Slots, value: Line, bound: Line, leads: Slots, codes: Slots,
     score: Table, words: Slots,
