@@ -15,6 +15,7 @@ from heliograph.link.codebook import STORED, Codebook, generate, load
 from heliograph.link.modulations.code import Code
 from heliograph_services.cli import codebook as command
 from reference import cyclic_plain as plain
+from support.lights import Light, read, repeated, seen
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "code.json").read_text("utf-8"))
 
@@ -90,9 +91,9 @@ def test_a_book_as_a_list_of_bits_is_read_like_one_of_texts(tmp_path: Path) -> N
         ("[1, 2]", "the same length"),
         ('["0012"]', "word 0 has a bit that is neither 0 nor 1"),
         ('[[0, 0, 1, "1"]]', "word 0 has a bit that is neither 0 nor 1"),
-        ('["0011", "1001"]', "two rotations of one, are the same"),
-        ('["0101"]', "two rotations of one, are the same"),
-        ('["0000"]', "two rotations of one, are the same"),
+        ('["0011", "1001"]', "or rotations of them, are the same"),
+        ('["0101", "1010"]', "or rotations of them, are the same"),
+        ('["0000"]', "must hold both a 0 and a 1"),
     ],
 )
 def test_a_damaged_book_is_refused_in_one_line(tmp_path: Path, content: str, fault: str) -> None:
@@ -148,3 +149,56 @@ def test_the_commands_mistakes_are_one_line_and_status_2(
     error = capsys.readouterr().err
     assert fault in error
     assert error.count("\n") == 1
+
+
+# Twelve bits, distance 3: two words that turn into themselves after six bits, one of them a square wave, and four others.
+SEQUENCES = """0,0,1,0,0,1,0,1,0,1,1,1
+0,0,0,1,0,0,1,1,0,1,1,1
+
+0,0,0,1,1,1,0,0,0,1,1,1
+0,0,1,0,1,1,0,0,1,0,1,1
+0,0,1,1,0,1,1,0,1,0,1,1
+0,0,0,1,1,0,0,1,1,1,0,1
+"""
+
+
+@pytest.fixture
+def sequences(tmp_path: Path) -> Path:
+    path = tmp_path / "sequences.txt"
+    path.write_text(SEQUENCES, "utf-8")
+    return path
+
+
+def test_a_sequence_file_of_uvdar_is_a_book(sequences: Path) -> None:
+    book = load(str(sequences))
+    assert (book.name, book.bits, len(book.words), book.distance) == ("sequences", 12, 6, 3)
+    link = Code(str(sequences))
+    assert link.encode(1) == (0, 0, 0, 1, 0, 0, 1, 1, 0, 1, 1, 1)
+    assert link.code.periodic == {2}
+    assert link.advice(2) is not None
+    assert link.advice(3) is None
+
+
+@pytest.mark.parametrize("payload", range(6))
+def test_every_word_of_a_sequence_file_is_read_those_that_turn_into_themselves_too(
+    sequences: Path, payload: int
+) -> None:
+    link = Code(str(sequences), allow_periodic=1)
+    receiver = link.receiver(60.0)
+    what = seen(Light(), repeated(link.encode(payload), 12), 60.0, 1)
+    frames = read(receiver, what)
+    assert {frame.payload for frame in frames} == {payload}
+    assert len(frames) >= 10
+    identity = receiver.identity()
+    assert identity is not None
+    assert identity.payload == payload
+
+
+def test_a_line_with_another_number_of_bits_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "book.txt"
+    path.write_text("0,0,1,1\n0,1,1\n", "utf-8")
+    with pytest.raises(FileError, match="the same length"):
+        load(str(path))
+    path.write_text("0,0,1,1\n0,1,1,2\n", "utf-8")
+    with pytest.raises(FileError, match="word 1 has a bit that is neither 0 nor 1"):
+        load(str(path))

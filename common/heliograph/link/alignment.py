@@ -8,7 +8,8 @@ negative, whether the payload repeats or changes from frame to frame. Each posit
 
 The track is *aligned* at r when A_r >= 6 and it leads all others by 3 nats; the frames since the lock are then decided
 in their order, so a cold start costs none. Aligned, only the windows at r are decided; when A_r falls below -3 (a bit
-slipped) the search starts anew over the last frames. An ambiguous word leads at two positions and never aligns.
+slipped) the search starts anew over the last frames. An ambiguous word leads at two positions and never aligns; one
+that a rotation turns into itself leads at several too, and any of them will do.
 
 A frame is decided on its own n bits and published once.
 """
@@ -19,6 +20,7 @@ from typing import Final
 
 import numba
 import numpy as np
+import numpy.typing as npt
 
 from heliograph.link import response
 from heliograph.link.likelihood import BEST, EVIDENCE, MARGIN, SCORE, VERDICT_FIELDS, decide, plain_bits
@@ -87,12 +89,28 @@ def place(state: State) -> bool:
     ints[SEARCHED] += 1
     _search(m, state)
     r = m % n
-    for other in range(n):
-        if other != r and sums[other] + LEAD > sums[r]:
-            return False
     if sums[r] < ALIGN:
         return False
+    word = -1
+    for other in range(n):
+        if other == r or sums[other] + LEAD <= sums[r]:
+            continue
+        if word < 0:
+            verdict = np.empty(VERDICT_FIELDS)
+            decide(state.ring, m - n, state.words, state.floats[NEXT_ONE], verdict)
+            word = int(verdict[BEST])
+        if not _is_turned_into_itself(state.words[word], other - r):
+            return False
     return _align(m, state)
+
+
+@numba.njit(nogil=True)
+def _is_turned_into_itself(word: npt.NDArray[np.uint8], by: int) -> bool:
+    n = len(word)
+    differing = 0
+    for i in range(n):
+        differing += word[i] != word[(i + by) % n]
+    return differing == 0
 
 
 @numba.njit(nogil=True)

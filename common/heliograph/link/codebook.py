@@ -2,7 +2,13 @@
 
 A book is JSON: ``{"name", "bits", "distance", "max_run", "seed", "words": ["0101...", ...]}``; a beacon's ID is the
 index of its word, so a stored book is never regenerated or reordered under the same name. Books of others are read too:
-a plain JSON list of words, each a list of bits (as UVDAR lists its sequences) or a string of bits.
+a plain JSON list of words, each a list of bits or a string of bits, and the sequence files of UVDAR (ctu-mrs/uvdar_core,
+config/): a word a line, its bits apart by commas::
+
+    0,0,1,0,0,1,0,1,0,1,1,1
+
+A word of others may turn into itself under a rotation (0,0,1,0,1,1 twice over): its ID is told, though not where it
+begins.
 
 The search is greedy: words of even weight are tried in the order of their value, XORed with a mask drawn from the seed
 (seed 0: none), and kept when their distance over all rotations is at least d. Lexicographic order packs better than
@@ -27,6 +33,8 @@ from heliograph.link.frames import CyclicCode, cyclic_code, cyclic_runs, least_d
 
 STORED: Final[tuple[str, ...]] = ("code18d4", "code20d4")
 
+# Files of one word a line.
+LINES: Final = (".txt", ".csv")
 # The receiver tries every word at every frame: 4096 words of 24 bits cost 0.2 ms a frame, one core at 5 kbit/s.
 WORDS_LIMIT: Final = 4096
 # A book file of 4096 words of 32 bits, written as lists of bits with spaces, has 400 kB.
@@ -77,8 +85,8 @@ def load(name: str) -> Codebook:
     """
     if name in STORED:
         return _parsed(name, (files(__package__) / "codebooks" / f"{name}.json").read_text("utf-8"), name)
-    if not name.endswith(".json"):
-        raise ValueError(f"codebook must be one of {', '.join(STORED)} or a path to a .json file, not {name!r}")
+    if not name.endswith((".json", *LINES)):
+        raise ValueError(f"codebook must be one of {', '.join(STORED)} or a path to a .json or .txt file, not {name!r}")
     path = Path(name)
     try:
         if path.stat().st_size > FILE_LIMIT_BYTES:
@@ -91,7 +99,7 @@ def load(name: str) -> Codebook:
 
 def _parsed(name: str, text: str, where: str) -> Codebook:
     try:
-        content = json.loads(text)
+        content = _lines(text) if where.endswith(LINES) else json.loads(text)
     except (ValueError, RecursionError) as error:
         raise FileError(f"codebook {where} is not JSON: {error}") from None
     listed = content.get("words", content.get("sequences")) if isinstance(content, dict) else content
@@ -103,11 +111,18 @@ def _parsed(name: str, text: str, where: str) -> Codebook:
     if bits or not 4 <= n <= 32:
         raise FileError(f"codebook {where}: all words must have the same length, 4 to 32 bits")
     words = tuple(_word(word, i, where) for i, word in enumerate(listed))
-    distance = least_distance(words, n)
+    distance = least_distance(words, n, symmetric=True)
     if distance < 1:
-        raise FileError(f"codebook {where}: two words, or two rotations of one, are the same")
+        raise FileError(f"codebook {where}: two words, or rotations of them, are the same")
+    if not all(0 < word < (1 << n) - 1 for word in words):
+        raise FileError(f"codebook {where}: a word must hold both a 0 and a 1")
     runs = max(max(cyclic_runs(word, n)) for word in words)
     return Codebook(name, n, distance, runs, seed if isinstance(seed, int) else None, words)
+
+
+def _lines(text: str) -> list[str]:
+    """Return the words of a file that has one a line."""
+    return ["".join(line.replace(",", " ").split()) for line in text.splitlines() if line.strip()]
 
 
 def _length(word: Any) -> int:

@@ -77,8 +77,9 @@ def cyclic_distance(a: int, b: int, n: int) -> int:
 
 
 def is_periodic(word: int, n: int) -> bool:
-    """Return whether the word is one run of ones and one of zeros around the circle: a plain square wave."""
-    return len(cyclic_runs(word, n)) == 2
+    """Return whether the word is a plain square wave: one run of ones and one of zeros, or that several times over."""
+    turns = sum(other == word for other in rotations(word, n))
+    return len(cyclic_runs(word, n)) == 2 * turns
 
 
 def seed11_word(payload: int, parity: Parity = "even") -> int:
@@ -108,7 +109,7 @@ class CyclicCode:
         twins: for each ambiguous payload the others that read alike.
         periodic: payloads that are plain square waves.
         longest_run: the most equal bits in a row in an endless repetition of any word of the code.
-        distance: the least Hamming distance of a word to any rotation of another, and to its own other rotations.
+        distance: the least Hamming distance of a word to any rotation of another, and to those of its own that differ.
     """
 
     name: str
@@ -159,12 +160,18 @@ def cyclic_code(name: str, n: int, words: Sequence[int], start: tuple[int, int] 
         twins=twins,
         periodic=frozenset(p for p, word in enumerate(words) if is_periodic(word, n)),
         longest_run=max(max(cyclic_runs(word, n)) for word in words),
-        distance=least_distance(safe, n) if safe else 0,
+        distance=least_distance(safe, n, symmetric=True) if safe else 0,
     )
 
 
-def least_distance(words: Sequence[int], n: int) -> int:
-    """Return the least distance of a word to any rotation of another word, and to its own other rotations."""
+def least_distance(words: Sequence[int], n: int, *, symmetric: bool = False) -> int:
+    """Return the least distance of a word to any rotation of another word, and to its own other rotations.
+
+    Args:
+        words: of n bits.
+        n: length of a word.
+        symmetric: leave out the rotations that turn a word into itself: wherever it is said to begin, it is that word.
+    """
     array = np.array(words, np.uint32)
     least = n
     for by in range(n):
@@ -172,6 +179,9 @@ def least_distance(words: Sequence[int], n: int) -> int:
         distance = popcount(array[:, None] ^ turned[None, :])
         if by == 0:
             np.fill_diagonal(distance, n)
+        elif symmetric:
+            itself = np.diagonal(distance) == 0
+            distance[itself, itself] = n
         least = min(least, int(distance.min()))
     return least
 

@@ -17,7 +17,7 @@ class Code:
     """A codebook's modulation.
 
     Args:
-        codebook: a stored name, or the path of a .json book (`heliograph.link.codebook`).
+        codebook: a stored name, or the path of a book, .json or .txt (`heliograph.link.codebook`).
         allow_periodic: read words that are plain square waves, if the book has such.
 
     Raises:
