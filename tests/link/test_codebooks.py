@@ -151,7 +151,7 @@ def test_the_commands_mistakes_are_one_line_and_status_2(
     assert error.count("\n") == 1
 
 
-# Twelve bits, distance 3: two words that turn into themselves after six bits, one of them a square wave, and four others.
+# Twelve bits, distance 3: two words that turn into themselves after six bits (one is a square wave), and four others.
 SEQUENCES = """0,0,1,0,0,1,0,1,0,1,1,1
 0,0,0,1,0,0,1,1,0,1,1,1
 

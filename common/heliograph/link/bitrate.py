@@ -1,9 +1,8 @@
 """First guesses of an unknown bit rate, each good to a per cent: what the receivers' own clocks (+-2.5 %) start from.
 
-Changes. With S the sum of the signed events so far (ON +1, OFF -1), the light changes where S turns: it rises by h
-above its last least value, or falls by h below its last greatest. Lone events and tails of the other polarity turn
-nothing. A change is timed by its first event, with h a third of the usual swing; noise hides that event, so it is also
-timed by the one that completes h, half of the usual swing, and what is more coherent counts.
+Changes. The light changes where the sum of its signed events turns (`heliograph.link.turns`). A change is timed by its
+first event, with h a third of the usual swing; noise hides that event, so it is also timed by the one that completes h,
+half of the usual swing, and what is more coherent counts.
 
 Rate. An NRZ signal changes at whole numbers of bits. The intervals d_i between changes of the same polarity are k_i T +
 noise, k_i = 2, 3, ..., whatever the delay of that polarity; of each change the next and the next but one are taken. The
@@ -32,6 +31,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliograph.events import Flags, Times
+from heliograph.link.turns import turns
 from heliograph.units import US_PER_S
 
 Floats = npt.NDArray[np.float64]
@@ -41,8 +41,6 @@ CHANGES: Final = 400
 INTERVALS_LEAST: Final = 24
 # h, in swings to which half of all that S moves belongs; and whether the first event is the time.
 TURNS: Final = ((1.0 / 3.0, True), (1.0 / 2.0, False))
-# How often h is measured anew from the swings that it yields: noise that splits none is left after the second.
-ROUNDS: Final = 3
 # 50 bit/s to 20 kbit/s, and clocks that are 3 % off.
 F_MIN: Final = 48.5
 F_MAX: Final = 20_600.0
@@ -94,62 +92,10 @@ def likely_bit_rates(t_us: Times, on: Flags, f_min: float = F_MIN, f_max: float 
     return tuple(sorted(US_PER_S / bit_us for _, bit_us in likely))
 
 
-@numba.njit(cache=True, nogil=True)
-def _turns(on: Flags, least: float, by_first: bool, at: npt.NDArray[np.int64], swing: Floats) -> int:
-    """Find where S turns by `least` or more.
-
-    Args:
-        on: (n,) polarities.
-        least: h.
-        by_first: a turn is where its first event is; otherwise where it is complete.
-        at: (n,) out: the event of each turn; turns alternate.
-        swing: (n,) out: what S moves from it to the next turn, > 0 where that is a rise.
-
-    Returns:
-        The number of turns.
-    """
-    total = low = high = 0
-    low_at = high_at = -1
-    rising = falling = False
-    turns = 0
-    for i in range(len(on)):
-        total += 1 if on[i] else -1
-        if not rising and total - low >= least:
-            if falling:
-                swing[turns - 1] = low - high
-            at[turns] = low_at + 1 if by_first else i
-            turns, rising, falling = turns + 1, True, False
-            high, high_at = total, i
-        elif not falling and high - total >= least:
-            if rising:
-                swing[turns - 1] = high - low
-            at[turns] = high_at + 1 if by_first else i
-            turns, rising, falling = turns + 1, False, True
-            low, low_at = total, i
-        if not falling and total >= high:
-            high, high_at = total, i
-        if not rising and total <= low:
-            low, low_at = total, i
-    if turns:
-        swing[turns - 1] = high - low if rising else low - high
-    return turns
-
-
 def _changes(t_us: Times, on: Flags, share: float, *, by_first: bool) -> tuple[Floats, Flags]:
     """Return the times of the light's changes, at most `CHANGES`, and whether they are rises; they alternate."""
-    # A kernel is compiled anew for arrays that may not be written, such as those that came over a wire.
-    on = np.require(on, requirements=("C", "W"))
-    at, swing = np.empty(len(on), np.int64), np.empty(len(on))
-    least, turns = 1.0, 0
-    for _ in range(ROUNDS):
-        turns = _turns(on, least, by_first, at, swing)
-        sizes = np.sort(np.abs(swing[:turns]))[::-1]
-        if not turns:
-            break
-        moved = np.cumsum(sizes)
-        least = max(1.0, share * float(sizes[np.searchsorted(moved, 0.5 * moved[-1])]))
-    newest = slice(max(turns - CHANGES, 0), turns)
-    return t_us[at[newest]].astype(np.float64), swing[newest] > 0.0
+    at, swing = turns(on, share, by_first=by_first)
+    return t_us[at[-CHANGES:]].astype(np.float64), swing[-CHANGES:] > 0.0
 
 
 def _alike(at_us: Floats, rises: Flags) -> Floats:

@@ -2,8 +2,8 @@
 
 A book is JSON: ``{"name", "bits", "distance", "max_run", "seed", "words": ["0101...", ...]}``; a beacon's ID is the
 index of its word, so a stored book is never regenerated or reordered under the same name. Books of others are read too:
-a plain JSON list of words, each a list of bits or a string of bits, and the sequence files of UVDAR (ctu-mrs/uvdar_core,
-config/): a word a line, its bits apart by commas::
+a plain JSON list of words, each a list of bits or a string of bits, and the sequence files of UVDAR
+(ctu-mrs/uvdar_core, config/): a word a line, its bits apart by commas::
 
     0,0,1,0,0,1,0,1,0,1,1,1
 

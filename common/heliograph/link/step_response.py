@@ -20,6 +20,7 @@ and in the end on a parametric response: an exponential tail after each change o
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Final
 
 import numba
@@ -65,6 +66,12 @@ _FALLS: Final = np.arange(2, CONTEXTS, 4)  # and in 1 0
 
 def cold_rates(events_per_transition: float) -> Table:
     """Return (2, 32, 16) float64, events a sub-bin: the response assumed before anything is learned."""
+    return _cold_tails() * events_per_transition
+
+
+@cache
+def _cold_tails() -> Table:
+    """Return `cold_rates` for one event a transition."""
     rates = np.zeros((2, CONTEXTS, SUB_BINS))
     at = (np.arange(SUB_BINS) + 0.5) / SUB_BINS
     for context in range(CONTEXTS):
@@ -73,7 +80,7 @@ def cold_rates(events_per_transition: float) -> Table:
         while age < CONTEXT_BITS - 1 and (context >> (age + 1)) & 1 == level:
             age += 1
         tail = np.exp(-(at + age) / COLD_TAIL_BITS) / COLD_TAIL_BITS / SUB_BINS
-        rates[0 if level else 1, context] = tail * events_per_transition
+        rates[0 if level else 1, context] = tail
     return rates
 
 

@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from heliograph.link.step_response import SHRINK_BITS, SUB_BINS, Counts, StepResponse
+from heliograph.link.turns import turns
 from heliograph.link.uart_layout import CHARACTER_BITS, IDLE_CONTEXT, word_table
 from heliograph.link.uart_paths import explain
 from heliograph.link.uart_words import Slots, near, slots_of
@@ -33,9 +34,14 @@ ROUNDS: Final = (400.0, 40.0, 12.0, SHRINK_BITS)
 PROMISING: Final = (1, 3, 5)
 # Fewer events than this in the stretch (three a character) teach nothing: the LED idles, or is too far away.
 LOCK_EVENTS: Final = 3 * LOCK_CHARACTERS
+# h of the stretch's turns (`heliograph.link.turns`), in usual swings.
+TURN: Final = 1.0 / 3.0
 # Of the characters that the stretch can hold: fewer, and it is not text, or not yet. With 6, Poisson noise of two
 # events a bit passes now and then.
 LOCK_GOOD: Final = 8
+# A good character holds a fall and a rise at least. Both recordings with 3 % of their events show 35 turns and more in
+# a stretch, lamps and glints at 3 kbit/s mostly fewer than 16: they are not looked at any further.
+LOCK_TURNS: Final = 2 * LOCK_GOOD
 # A character holds five changes of level on average.
 CHANGES: Final = 5.0
 CLOCK_MAX: Final = 0.025  # offsets beyond 2.5 % are another bit rate
@@ -64,6 +70,7 @@ class Lock:
 
 
 WORDS: Final = word_table()
+ON_OFF: Final = np.array([True, False])  # the columns of Counts
 
 
 def is_good(likelihood: float, second: float, free: float) -> bool:
@@ -119,10 +126,16 @@ def _count_good(counts: Counts, start: int, found: list[tuple[int, int]], slots:
     return good
 
 
+def _turns(counts: Counts) -> int:
+    """Return how often the light turns in these sub-bins; within one, ON comes first."""
+    at, _ = turns(np.repeat(np.tile(ON_OFF, len(counts)), counts.ravel()), TURN, by_first=True)
+    return len(at)
+
+
 def lock(counts: Counts, start: int, n: int) -> Lock | None:
     """Look for text in the sub-bins [start, start + n); n at least LOCK_BINS. Return None if there is none."""
     events = int(counts[start : start + n].sum())
-    if events < LOCK_EVENTS:
+    if events < LOCK_EVENTS or _turns(counts[start : start + n]) < LOCK_TURNS:
         return None
     response = StepResponse(events * CHARACTER_BINS / (n * CHANGES))
     slots = slots_of(SUB_BINS)
