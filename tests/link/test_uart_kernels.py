@@ -58,6 +58,20 @@ def test_a_stretch_is_explained_by_its_characters_and_the_idle_time_between_them
     assert np.all(between[:, 1] == IDLE)
 
 
+@pytest.mark.parametrize("noise", [0.05, 0.3, 2.0])
+@pytest.mark.parametrize("text", ["", "aZ", "Ow"])
+def test_the_way_through_a_stretch_is_that_of_trying_every_character_everywhere(text: str, noise: float) -> None:
+    bits = [1, 1, *(bit for character in text for bit in (*character_bits(ord(character)), 1)), *[1] * 14]
+    rng = np.random.default_rng(int(100 * noise) + len(text))
+    counts = (ideal(bits) + rng.poisson(noise, (len(bits) * SUB_BINS, 2))).astype(np.int32)
+    response = StepResponse(10.0)
+    path = np.empty((len(counts), 2), np.int64)
+    steps = explain(counts, 0, len(counts), slots_of(SUB_BINS), IDLE_CONTEXT, response.tables, path)
+    assert [(int(at), int(code)) for at, code in path[:steps]] == uart_plain.explained(
+        counts, len(counts), IDLE_CONTEXT, response
+    )
+
+
 def test_idle_time_is_skipped_up_to_the_start_bit() -> None:
     counts = ideal([*[1] * 9, 0, 0, 1, 1])
     at = skip_idle(counts, 0, 10 * SUB_BINS, StepResponse(10.0).tables)
@@ -93,6 +107,21 @@ def test_a_cold_start_finds_text_and_its_clock_but_none_in_noise() -> None:
     assert found.bit_bins == pytest.approx(SUB_BINS * 1.01, rel=0.002)
     rng = np.random.default_rng(1)
     assert lock(rng.poisson(1.0, (LOCK_BINS, 2)).astype(np.int32), 0, LOCK_BINS) is None
+
+
+def test_light_that_turns_too_seldom_for_eight_characters_is_not_explained(monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(*_: object) -> int:
+        raise AssertionError("it was explained")
+
+    monkeypatch.setattr("heliograph.link.uart_lock.explain", never)
+    slow = np.zeros((LOCK_BINS, 2), np.int32)
+    for k in range(15):
+        slow[k * 180 : k * 180 + 90, k % 2] = 2
+    slow[::40, 0] += 1
+    assert lock(slow, 0, LOCK_BINS) is None
+    slow[15 * 180 : 15 * 180 + 90, 1] = 2
+    with pytest.raises(AssertionError, match="explained"):
+        lock(slow, 0, LOCK_BINS)
 
 
 def test_silence_is_cut_out_and_time_is_kept() -> None:

@@ -11,7 +11,7 @@ import pytest
 from heliograph.link.modulations.uart import Uart
 from heliograph.link.text_identity import WORTH_NEEDED, RunWorth
 from heliograph.link.uart_layout import CHARACTERS, character_bits, word_table
-from support.text_light import TextLight, hear, watch
+from support.text_light import TextLight, Watched, hear, watch
 
 # What a lamp of 12 ms on and 12 ms off on average was read as at 1000 bit/s, before a sensor of 199 us a scan.
 FROM_A_LAMP = (
@@ -72,14 +72,14 @@ def test_a_chain_of_bits_reaches_a_worth_as_seldom_as_it_must(flip: float) -> No
 def test_the_steps_of_a_character_are_those_of_its_bits() -> None:
     for code in range(CHARACTERS):
         run = RunWorth()
-        run.add(code, after_idle=True)
+        run.add(code, after_idle=False)
         bits = character_bits(code)
         n = np.zeros((2, 2))
         for a, b in pairwise(bits):
             n[a, b] += 1
         share = n / np.maximum(n.sum(1, keepdims=True), 1)
         surprise = -float((n * np.log(np.where(n > 0, share, 1.0))).sum())
-        assert run.value == pytest.approx(min(math.log(8.0), surprise - 7 * math.log(2.0)))
+        assert run.value == pytest.approx(min(math.log(16.0), surprise - 6 * math.log(2.0)))
 
 
 def test_a_lamp_that_goes_on_and_off_at_random_is_no_text_beacon() -> None:
@@ -89,3 +89,49 @@ def test_a_lamp_that_goes_on_and_off_at_random_is_no_text_beacon() -> None:
     receiver = Uart().receiver(1000.0)
     assert hear(receiver, watch(TextLight(events=20), quarters.tolist(), 4000.0, seed=12)) == []
     assert receiver.identity() is None
+
+
+def test_an_offset_costs_what_makes_it_unlikelier_than_anywhere_in_reach() -> None:
+    worth = []
+    for offset in (0.0, 2.3, 3.0, -6.0):
+        run = RunWorth()
+        run.add(ord("U"), after_idle=False, offset=offset)
+        worth.append(run.most)
+    free = math.log(16.0)
+    anywhere = math.log(13.0 / 1.5 / math.sqrt(2.0 * math.pi))
+    assert worth == pytest.approx([free, free, free + anywhere - 2.0, free + anywhere - 8.0])
+
+
+def test_after_idle_time_offsets_cost_nothing_and_characters_are_worth_little() -> None:
+    run = RunWorth()
+    for code in (ord("U"), ord("%")):
+        run.add(code, after_idle=True, offset=5.0)
+    assert run.most == pytest.approx(math.log(4.0))
+
+
+@pytest.mark.parametrize("hz", [100, 120])
+@pytest.mark.parametrize("rate_hz", [2_000, 5_000])
+def test_the_flicker_of_the_mains_is_no_text(hz: int, rate_hz: int) -> None:
+    """It had been: sgN_1 over and over, five characters to a turn of the phase."""
+    rng = np.random.default_rng(12)
+    at = rng.uniform(0.0, 8.0, 20 * rate_hz)
+    slope = np.cos(2 * np.pi * hz * at)
+    kept = rng.random(len(at)) < np.abs(slope)
+    order = np.argsort(at[kept])
+    t_us = (at[kept][order] * 1e6).astype(np.int64)
+    receiver = Uart().receiver(504.0)
+    assert hear(receiver, Watched(t_us, slope[kept][order] > 0, 8_000_000)) == []
+    assert receiver.identity() is None
+
+
+def test_random_bits_at_another_rate_are_no_text() -> None:
+    """Bits of 1.3 bits and a tail: half of what was looked for in them looked like a character, and none was on time."""
+    rng = np.random.default_rng(11)
+    levels = rng.integers(0, 2, 31_000)
+    edges = np.flatnonzero(np.diff(levels))
+    count = rng.poisson(15, len(edges))
+    t = np.repeat(edges * 130.0, count) + rng.exponential(30.0, int(count.sum()))
+    on = np.repeat(levels[edges + 1] > 0, count)
+    order = np.argsort(t, kind="stable")
+    receiver = Uart().receiver(10_000.0)
+    assert hear(receiver, Watched(t[order].astype(np.int64), on[order], 4_000_000)) == []

@@ -1,32 +1,38 @@
 """When a track is a text beacon, and what may be said until then.
 
 A *good* character has the right start, parity and stop bits, decided on likelihood (`uart_lock.is_good`). In random
-bits at the right clock, eleven bits in a row are one with the chance 2^-4; after idle time of any length with 2^-3,
-since the idle bits may be chosen. A run of good characters is worth the product; the track is a text beacon when it
-falls below 1e-12 (ten characters one right after another: 16^-10 = 9e-13), so that the chance stays below 1e-10 a bit
-position although a run may begin at any of several sub-bins.
+bits at the right clock, eleven bits in a row are one with the chance 2^-4. After idle time the beginning may be chosen,
+by the bit and by the sub-bin: of a light that changes at random every 1.3 bits, half of such characters were good, so
+they are worth 1/2. A run of good characters is worth the product; the track is a text beacon when it falls below 1e-12
+(ten characters one right after another: 16^-10 = 9e-13), so that the chance stays below 1e-10 a bit position although a
+run may begin at any of several sub-bins.
+
+Where a character follows another at once, it also comes on time, while another
+light's lie anywhere in the 13 sub-bins in which they are looked for. So an offset of e sub-bins costs::
+
+    min(0, ln(13 N(e; 0, 1.5^2))) = min(0, 1.24 - e^2 / 4.5)        nats; nothing up to 2.4 sub-bins
 
 A slow light is another matter: where it seldom changes, stop bits are right by themselves (a lamp that goes on and off
 at random, 12 ms each on average, made 30 good characters in a row at 1000 bit/s). So a run is also weighed against
 the chain of bits that suits it best: bit b follows bit a with the chance p_ab, taken from the run's own n_ab (start to
 last stop bit, k characters)::
 
-    worth = m ln 2 + min(k ln 8, sum_ab n_ab ln(1 / p_ab) - k ln 128),    p_ab = n_ab / (n_a0 + n_a1)
+    worth = m ln 2 + min(m ln 8 + (k - m) ln 2, sum_ab n_ab ln(1 / p_ab) - k ln 128) + what the offsets cost
 
-with m characters one right after another. The first in the brackets is the rule above; the second is the likelihood
+with p_ab = n_ab / (n_a0 + n_a1) and m characters one right after another. The first in the brackets is the rule above; the second is the likelihood
 ratio of "any of 128 characters" to the best chain, never more than to the true one: any such source exceeds 1e12 with
 a chance of at most 1e-12 (Ville's inequality). Busy text loses next to nothing by it.
 
-A periodic signal is no news, however long: a lamp, or a cyclic code (`seed11` at the same bit rate), reads as one
-character or two for ever, and as others while its phase slips. So of the last twelve characters of the run eight must
-differ from the four before them. Until all that holds, characters are held back; then they are released at once.
+A periodic signal is no news, however long: a lamp, or a cyclic code (`seed11` at the same bit rate), reads as a few
+characters over and over (100 Hz at 504 bit/s as six, N 1 s g and two more). So the last twelve characters of the run
+must hold eight different ones. Until all that holds, characters are held back; then they are released at once.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from itertools import pairwise
-from math import exp, log
+from math import exp, log, pi, sqrt
 from typing import Final
 
 from heliograph.errors import Refusal, Refusals
@@ -38,11 +44,13 @@ from heliograph.units import US_PER_S
 WORTH_NEEDED: Final = log(1e12)
 WORTH: Final = log(8.0)  # of a good character whose start is given
 WORTH_AT_ONCE: Final = log(2.0)  # more, if it starts right after the one before
-# Square waves of 50 to 150 Hz, read at 504 to 5000 bit/s for 20 s, show at most 5 of 12; of the windows of an English
-# text 97 % show 8 or more.
+WORTH_AFTER_IDLE: Final = log(2.0)
+# Recordings and synthetic text keep within .1 to 1 sub-bins; a character is looked for within 6 (uart_follow.REACH).
+OFFSET_SIGMA: Final = 1.5
+OFFSET_FREE: Final = log(13.0 / (OFFSET_SIGMA * sqrt(2.0 * pi)))
+# Of the windows of an English text 88 % hold 8 or more: it waits .7 characters on average, 5 at the 95th percentile.
 NEWS_NEEDED: Final = 8
 NEWS_OF: Final = 12
-NEWS_MEMORY: Final = 4
 HELD_MAX: Final = 64  # characters; the oldest of a longer wait are let go, and counted
 
 # Of the last 20 decisions: so many refused, and the track is no text any more, or the framing is lost.
@@ -87,25 +95,29 @@ class RunWorth:
     def __init__(self) -> None:
         self._characters = 0
         self._at_once = 0
+        self._late = 0.0  # what the offsets cost
         self._steps = [0, 0, 0, 0]
 
-    def add(self, code: int, *, after_idle: bool) -> None:
-        """Take the run's next character."""
+    def add(self, code: int, *, after_idle: bool, offset: float = 0.0) -> None:
+        """Take the run's next character, found so many sub-bins off its clock."""
         self._characters += 1
-        self._at_once += not after_idle
+        if not after_idle:
+            self._at_once += 1
+            self._late += min(0.0, OFFSET_FREE - 0.5 * (offset / OFFSET_SIGMA) ** 2)
         self._steps = [n + more for n, more in zip(self._steps, STEPS[code], strict=True)]
 
     @property
     def most(self) -> float:
         """What the run would be worth among random bits at the right clock."""
-        return self._at_once * WORTH_AT_ONCE + self._characters * WORTH
+        after_idle = self._characters - self._at_once
+        return self._at_once * (WORTH + WORTH_AT_ONCE) + after_idle * WORTH_AFTER_IDLE + self._late
 
     @property
     def value(self) -> float:
         """The worth of the run; it may be negative."""
         n00, n01, n10, n11 = self._steps
         chain = _surprise(n00, n01) + _surprise(n10, n11) - self._characters * log(CHARACTERS)
-        return min(self.most, self._at_once * WORTH_AT_ONCE + chain)
+        return min(self.most, self._at_once * WORTH_AT_ONCE + chain + self._late)
 
 
 def _surprise(n: int, m: int) -> float:
@@ -185,13 +197,12 @@ class TextIdentity:
             self._refusals[Refusal.PERIODIC if is_periodic else Refusal.WEAK] += 1
 
     def _news(self) -> int:
-        """Return how many of the run's last characters differ from those shortly before them."""
-        run = list(self._run)
-        return sum(code not in run[max(0, i - NEWS_MEMORY) : i] for i, code in enumerate(run))
+        """Return how many different ones the run's last characters are."""
+        return len(set(self._run))
 
     def _good(self, decision: Decision, code: int, end_us: int) -> None:
         self._score = min(self._score + GAIN, SCORE_MAX)
-        self._worth.add(code, after_idle=decision.after_idle)
+        self._worth.add(code, after_idle=decision.after_idle, offset=decision.offset)
         self._run.append(code)
         self._frames += 1
         self._margin += decision.margin
