@@ -125,7 +125,7 @@ def test_the_flicker_of_the_mains_is_no_text(hz: int, rate_hz: int) -> None:
 
 
 def test_random_bits_at_another_rate_are_no_text() -> None:
-    """Bits of 1.3 bits and a tail: half of what was looked for in them looked like a character, and none was on time."""
+    """Bits of 1.3 bits, and a tail: half of what is looked for in them looks like a character, and none is on time."""
     rng = np.random.default_rng(11)
     levels = rng.integers(0, 2, 31_000)
     edges = np.flatnonzero(np.diff(levels))

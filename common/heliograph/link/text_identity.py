@@ -19,9 +19,9 @@ last stop bit, k characters)::
 
     worth = m ln 2 + min(m ln 8 + (k - m) ln 2, sum_ab n_ab ln(1 / p_ab) - k ln 128) + what the offsets cost
 
-with p_ab = n_ab / (n_a0 + n_a1) and m characters one right after another. The first in the brackets is the rule above; the second is the likelihood
-ratio of "any of 128 characters" to the best chain, never more than to the true one: any such source exceeds 1e12 with
-a chance of at most 1e-12 (Ville's inequality). Busy text loses next to nothing by it.
+with p_ab = n_ab / (n_a0 + n_a1) and m characters one right after another. The first in the brackets is the rule above;
+the second is the likelihood ratio of "any of 128 characters" to the best chain, never more than to the true one: any
+such source exceeds 1e12 with a chance of at most 1e-12 (Ville's inequality). Busy text loses next to nothing by it.
 
 A periodic signal is no news, however long: a lamp, or a cyclic code (`seed11` at the same bit rate), reads as a few
 characters over and over (100 Hz at 504 bit/s as six, N 1 s g and two more). So the last twelve characters of the run
