@@ -41,7 +41,7 @@ def parser() -> argparse.ArgumentParser:
         help="AEDAT4, EVT2/EVT3 RAW, DAT, ES, CSV, NPZ (of events, or of images) or a MATLAB beacon recording",
     )
     made.add_argument(
-        "--protocol", default=None, metavar="NAME|auto", help="seed11 (default), code, uart, or auto: all"
+        "--protocol", default=None, metavar="NAME|auto", help="seed11 (default), another modulation, or auto: all"
     )
     made.add_argument("--bit-rate", default=None, metavar="N|auto", help="bits a second; auto finds it (default)")
     made.add_argument(

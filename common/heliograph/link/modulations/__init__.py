@@ -16,6 +16,7 @@ MODULATIONS: Final[dict[str, tuple[str, str]]] = {
     "seed11": ("heliograph.link.modulations.seed11", "Seed11"),
     "code": ("heliograph.link.modulations.code", "Code"),
     "uart": ("heliograph.link.modulations.uart", "Uart"),
+    "pulse_interval": ("heliograph.link.modulations.pulse_interval", "PulseInterval"),
 }
 ENTRY_POINTS: Final = "heliograph.modulations"
 
