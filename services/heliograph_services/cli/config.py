@@ -77,7 +77,22 @@ def problems(site: Site) -> list[str]:
                     raise ConfigError(f"{site.path}: [[beacon]] {beacon.name}: {error}") from None
 
         attempt(encodes)
+    for protocol in dict.fromkeys(beacon.protocol for beacon in site.beacon):
+        attempt(_together, site, protocol)
     return found
+
+
+def _together(site: Site, protocol: str) -> None:
+    """Check what the beacons of one protocol must not be to each other."""
+    alike = [beacon for beacon in site.beacon if beacon.protocol == protocol]
+    check = getattr(modulation(protocol, **alike[0].options), "check_beacons", None)
+    if check is None:
+        return
+    try:
+        scans = (entry.settings.get("scan_rate_hz", 0.0) for entry in site.service if entry.kind == "decoder")
+        check([(b.name, b.payload, b.bit_rate) for b in alike], min((s for s in scans if s), default=0.0))
+    except ValueError as error:
+        raise ConfigError(f"{site.path}: {error}") from None
 
 
 def _check(site: Site) -> int:

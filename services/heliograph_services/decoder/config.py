@@ -72,6 +72,10 @@ class DecoderConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     heart_bit_rate: Annotated[
         float, Meta(ge=0.0, le=1e9, description="bit/s up to which a link hears the heart of an image alone")
     ] = 100.0
+    # The files and streams do not tell it; an imx636 has none, a DVXplorer Mini 5,000 (VARIABLE_5000).
+    scan_rate_hz: Annotated[
+        float, Meta(ge=0.0, le=1e6, description="scans a second of the camera, 0 if asynchronous: bounds `frequency`")
+    ] = 0.0
     # The design: identifications are refreshed at 10 Hz.
     refresh_us: Annotated[
         int, Meta(ge=1_000, le=60_000_000, description="identifications are refreshed, texts joined, once in it")

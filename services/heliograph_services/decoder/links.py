@@ -22,7 +22,7 @@ from typing import Final
 from heliograph.errors import ConfigError, Refusals
 from heliograph.events import Flags, Times
 from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Modulation, Receiver, Text, Verdict
-from heliograph.link.modulations import modulation, names
+from heliograph.link.modulations import LISTED_ONLY, modulation, tried
 from heliograph.site import Beacon
 from heliograph.units import BIT_RATE_MIN
 from heliograph_services.decoder.config import AUTO, DecoderConfig
@@ -88,12 +88,25 @@ class LinkPlan:
             _Row(key, _modulation(modulation_of, key, config.beacons), config.receiver)
             for key in _keys(config.beacons, config)
         ]
+        self._check_together(config)
         self._settle_receivers(config.receiver)
         self._names: dict[tuple[LinkKey, int | None], str] = {}
         for beacon in config.beacons:
             known = (_key_of(beacon), beacon.payload)
             # Two listed beacons that send the same cannot be told apart: they are called by what they send.
             self._names[known] = "" if known in self._names else beacon.name
+
+    def _check_together(self, config: DecoderConfig) -> None:
+        """Check what the beacons of one protocol must not be to each other, where a modulation has such a rule."""
+        for row in self.rows:
+            check = getattr(row.modulation, "check_beacons", None)
+            alike = [(b.name, b.payload, b.bit_rate) for b in config.beacons if b.protocol == row.key.protocol]
+            if check is None:
+                continue
+            try:
+                check(alike, config.scan_rate_hz)
+            except ValueError as error:
+                raise ConfigError(str(error)) from None
 
     def _settle_receivers(self, wanted: str) -> None:
         """A modulation that lacks the wanted receiver uses its default, unless all lack it."""
@@ -167,7 +180,9 @@ def _keys(beacons: tuple[Beacon, ...], config: DecoderConfig) -> list[LinkKey]:
     if beacons:
         return list(dict.fromkeys(_key_of(beacon) for beacon in beacons))
     rate = None if isinstance(config.bit_rate, str) else float(config.bit_rate)
-    protocols = names() if config.protocol == AUTO else [config.protocol]
+    if rate is None and config.protocol in LISTED_ONLY:
+        raise ConfigError(f"bit_rate must be a number with protocol {config.protocol}, not {config.bit_rate!r}")
+    protocols = tried() if config.protocol == AUTO else [config.protocol]
     options = () if config.protocol == AUTO else tuple(sorted(config.options.items()))
     return [LinkKey(protocol, rate, options) for protocol in protocols]
 

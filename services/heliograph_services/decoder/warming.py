@@ -6,7 +6,7 @@ import numpy as np
 
 from heliograph.core import Context
 from heliograph.events import EventBatch
-from heliograph.link import bitrate, rises, text_receiver, trial, wang2022
+from heliograph.link import bitrate, ook_receiver, rises, text_receiver, trial, wang2022
 from heliograph.messages import Tracks
 from heliograph.streams import Events
 from heliograph_services.decoder.config import DecoderConfig
@@ -25,6 +25,7 @@ def warm_all() -> None:
     wang2022.warm()
     bitrate.warm()
     rises.warm()
+    ook_receiver.warm()
     _tiles()
     core = DecoderCore(DecoderConfig(protocol="auto"), Context(instance="warm", boot="0", lockstep=False))
     for k in range(40):

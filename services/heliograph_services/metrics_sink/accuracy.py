@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from math import hypot
 from typing import Final
 
+from heliograph.link.modulations import TEXT
 from heliograph.messages import Identification
 from heliograph.site import Beacon
 from heliograph.truth import Truth
@@ -36,8 +37,6 @@ GRACE_FRAMES: Final = 5
 HALF_LIMIT_US: Final = US_PER_S
 # Two beacons are a close pair within this many blob diameters.
 CLOSE_DIAMETERS: Final = 2.0
-# Their frames are characters: counted once more, for the CER.
-TEXT_PROTOCOLS: Final = frozenset({"uart"})
 # Truth is looked up for identifications and insertions of the two seconds before the one being matched.
 LOOKBACK_US: Final = 4 * US_PER_S
 
@@ -204,7 +203,7 @@ class Scorer:
         is_right = got is not None and got.payload == frame.payload
         if got is not None:
             count(f"{'right' if is_right else 'wrong'}/{frame.protocol}", 1)
-        if frame.visible and frame.protocol in TEXT_PROTOCOLS:
+        if frame.visible and frame.protocol in TEXT:
             outcome = () if got is None else ("right_text" if is_right else "wrong_text",)
             for name in ("sent_text", *outcome):
                 count(f"{name}/{frame.protocol}", 1)

@@ -6,7 +6,7 @@ frame has none right. Chance is the mean agreement with the words of all payload
 
 from __future__ import annotations
 
-from heliograph.link.modulations import modulation
+from heliograph.link.modulations import TEXT, modulation
 from heliograph.site import Beacon
 
 # Payloads tried for the words of chance: all of seed11 (64), uart (128) and the largest codebook (507).
@@ -27,7 +27,7 @@ class Slots:
 
     def __init__(self, beacon: Beacon) -> None:
         self._modulation = modulation(beacon.protocol, **beacon.options)
-        self._is_text = beacon.protocol == "uart"
+        self._is_text = beacon.protocol in TEXT
         self._words: dict[int, tuple[int, ...] | None] = {}
         self._chance: tuple[float, ...] | None = None
         self._payload_bits: int | None = None

@@ -17,7 +17,13 @@ MODULATIONS: Final[dict[str, tuple[str, str]]] = {
     "code": ("heliograph.link.modulations.code", "Code"),
     "uart": ("heliograph.link.modulations.uart", "Uart"),
     "pulse_interval": ("heliograph.link.modulations.pulse_interval", "PulseInterval"),
+    "frequency": ("heliograph.link.modulations.frequency", "Frequency"),
+    "ook_fast": ("heliograph.link.modulations.ook_fast", "OokFast"),
 }
+# Their frames are characters, their payloads the characters' codes.
+TEXT: Final = frozenset({"uart", "ook_fast", "event_interval"})
+# Tried only where a site lists its beacons, or a command line asks for it: any lamp speaks it.
+LISTED_ONLY: Final = frozenset({"frequency"})
 ENTRY_POINTS: Final = "heliograph.modulations"
 
 
@@ -25,6 +31,11 @@ def names() -> list[str]:
     """Return the names of all modulations, ours first."""
     others = sorted(point.name for point in entry_points(group=ENTRY_POINTS))
     return [*MODULATIONS, *(name for name in others if name not in MODULATIONS)]
+
+
+def tried() -> list[str]:
+    """Return the names of the modulations that "auto" tries."""
+    return [name for name in names() if name not in LISTED_ONLY]
 
 
 def modulation(name: str, **options: str | int) -> Modulation:

@@ -19,13 +19,13 @@ from typing import Final
 
 import numpy as np
 
+from heliograph.link.modulations import TEXT
 from heliograph.messages import Frames
 from heliograph.truth import Truth
 
 GATE_PX: Final = 5.0
 GRACE_US: Final = 500_000
 GRACE_FRAMES: Final = 5
-TEXT: Final = "uart"
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +104,7 @@ def counts_of(truths: list[Truth], frames: list[Frames]) -> Counts:
             paths[name].add(truth, i)
         for k, i in enumerate(truth.frame_beacon):
             name, t0_us, t1_us = truth.beacon[i], truth.frame_t0_us[k], truth.frame_t1_us[k]
-            if truth.protocol[i] == TEXT:
+            if truth.protocol[i] in TEXT:
                 continue
             viewed = _late_enough(paths[name].viewed_us, t0_us, t1_us)
             seen = truth.frame_visible[k] and _late_enough(paths[name].seen_us, t0_us, t1_us)
