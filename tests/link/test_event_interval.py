@@ -17,7 +17,8 @@ from heliograph.link.contract import edges_of
 from heliograph.link.modulations import MODULATIONS, modulation
 from heliograph.link.modulations.event_interval import bits_of_symbol, gray
 from heliograph_services.cli.studies.asynchronous import AsyncPixels
-from support.async_lights import SENTENCE, nobody, others, read, sent
+from heliograph_services.cli.studies.strangers import SENTENCE, nobody, others, sent
+from support.async_lights import read
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "event_interval.json").read_text())
 KIND = modulation("event_interval")

@@ -19,9 +19,10 @@ from heliograph.link.modulations.frequency import Frequency, resolution_hz
 from heliograph.site import Beacon
 from heliograph.units import bit_us
 from heliograph_services.cli.studies.asynchronous import AsyncPixels, events
+from heliograph_services.cli.studies.strangers import nobody, others, sent, square
 from heliograph_services.decoder.config import DecoderConfig
 from heliograph_services.decoder.links import LinkPlan
-from support.async_lights import Read, nobody, others, read, sent, square
+from support.async_lights import Read, read
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "frequency.json").read_text())
 LIGHT = AsyncPixels(pixels=20, jitter_us=8.0, noise_hz=2e3, delay_off_us=5.0)

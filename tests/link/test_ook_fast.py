@@ -18,7 +18,8 @@ from heliograph.link.checked_characters import CHARACTERS, nearest
 from heliograph.link.modulations import MODULATIONS, modulation
 from heliograph.link.modulations.ook_fast import COSET, WORD_BITS
 from heliograph_services.cli.studies.asynchronous import AsyncPixels
-from support.async_lights import SENTENCE, nobody, others, read, sent
+from heliograph_services.cli.studies.strangers import SENTENCE, nobody, others, sent
+from support.async_lights import read
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "ook_fast.json").read_text())
 KIND = modulation("ook_fast")

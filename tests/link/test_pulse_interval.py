@@ -16,7 +16,8 @@ from heliograph.link.contract import edges_of
 from heliograph.link.modulations import MODULATIONS, modulation
 from heliograph.link.rises import Rises
 from heliograph_services.cli.studies.asynchronous import AsyncPixels
-from support.async_lights import nobody, others, read, sent
+from heliograph_services.cli.studies.strangers import nobody, others, sent
+from support.async_lights import read
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "pulse_interval.json").read_text())
 P_RATE = 5000.0

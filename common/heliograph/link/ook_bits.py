@@ -69,10 +69,11 @@ class OokBits:
         self._paths = (
             np.zeros(ook_kernel.STATES),
             np.zeros((ook_kernel.RING, ook_kernel.STATES), np.int64),
-            np.zeros(ook_kernel.RING),
+            np.zeros((ook_kernel.RING, 2)),
             np.zeros(ook_kernel.RING),
         )
-        self._learned = (np.zeros(ook_kernel.CONTEXTS), np.ones(ook_kernel.CONTEXTS), np.zeros(ook_kernel.CONTEXTS))
+        contexts = ook_kernel.CONTEXTS
+        self._learned = (np.zeros((contexts, 2)), np.ones((contexts, 2)), np.zeros(contexts))
 
     @property
     def locked(self) -> bool:
@@ -86,14 +87,14 @@ class OokBits:
 
     @property
     def amplitude(self) -> float:
-        """Events of a transition."""
-        return float(self._floats[ook_kernel.A])
+        """ON events of a rise."""
+        return float(self._floats[ook_kernel.A + 1])
 
     @property
     def spread(self) -> float:
-        """Mean variance of a slot's balance of events, over the contexts that have been seen."""
+        """Mean variance of a slot's ON events, over the contexts that have been seen."""
         _, var, seen = self._learned
-        return float((var * seen).sum() / max(float(seen.sum()), 1.0))
+        return float((var[:, 1] * seen).sum() / max(float(seen.sum()), 1.0))
 
     def feed(self, t_us: Times, on: Flags, until_us: int) -> list[Piece]:
         """Take the events before until_us; return the bits that they decide."""
@@ -143,39 +144,40 @@ class OokBits:
             return False
         t: Floats = np.asarray((self._t[:stop] - begin_us) / self._bit_us, np.float64)
         on = self._on[:stop]
-        sums = np.zeros((WINDOW_BLOCKS, 4 * clock.BLOCK_OFFSETS + 1))
-        cuts = np.searchsorted(t, np.arange(WINDOW_BLOCKS + 1) * float(clock.BLOCK_BITS))
-        for b in range(WINDOW_BLOCKS):
-            own = slice(cuts[b], cuts[b + 1])
-            clock.block(t[own] - b * clock.BLOCK_BITS, on[own], sums[b])
-        f, z = clock.peak(sums)
-        if z < clock.THRESHOLD_LONG:
+        f, z = _clock(t, on)
+        f_lit, z_lit = _clock(t[on], on[on]) if on.any() else (1.0, 0.0)
+        # Falls that trail for many bits hide the clock of the rises.
+        steers = z >= z_lit
+        if max(z, z_lit) < clock.THRESHOLD_LONG:
             self._refusals[Refusal.NO_CLOCK] += 1
             return False
         found, folded = np.zeros(4), np.zeros((2, clock.SUB))
-        clock.grid(t, on, f, float(WINDOW_BITS), found, folded)
+        if steers:
+            clock.grid(t, on, f, float(WINDOW_BITS), found, folded)
+        else:
+            clock.grid(t[on], on[on], f_lit, float(WINDOW_BITS), found, folded)
         self._origin_us, self._half = begin_us, float(found[2])
-        balance = np.bincount(
-            np.floor((t - found[0]) * f + 0.5).astype(np.int64) + 1, np.where(on, 1.0, -1.0), WINDOW_BITS + 16
-        )
-        # Of the larger ones, as most slots have no edge or but a rest of one.
-        amplitude = float((balance**2).sum() / max(float(np.abs(balance).sum()), 1.0))
-        ook_kernel.guess(amplitude, *self._learned)
+        # Of the larger slots, as most have no edge or but a rest of one.
+        slot = np.maximum(np.floor((t - found[0]) / found[1] + 0.5).astype(np.int64), 0)
+        off, lit = (_larger(np.bincount(slot[on == level])) for level in (False, True))
+        ook_kernel.guess(off, lit, not steers, *self._learned)
         eff, by, _ = self._shifted(stop)
         for rehearsal in range(REHEARSALS + 1):
-            self._start(float(found[0]), float(found[1]), amplitude)
+            self._start(float(found[0]), float(found[1]), off, lit, steers=steers)
             if rehearsal < REHEARSALS:
                 self._advance(eff, by, WINDOW_BITS - 1.0)
         self._fresh = True
         return True
 
-    def _start(self, boundary: float, period: float, amplitude: float) -> None:
+    def _start(self, boundary: float, period: float, off: float, lit: float, *, steers: bool) -> None:
         """Set the state to the beginning of a window; what has been learned stays."""
         self._floats[:] = 0.0
         self._floats[ook_kernel.B] = boundary
         self._floats[ook_kernel.T] = period
-        self._floats[ook_kernel.A] = amplitude
+        self._floats[ook_kernel.A] = off
+        self._floats[ook_kernel.A + 1] = lit
         self._ints[:] = 0
+        self._ints[ook_kernel.OFF_STEERS] = steers
         for table in self._paths:
             table[:] = 0
 
@@ -216,3 +218,20 @@ class OokBits:
     def quality(self) -> tuple[float, float]:
         """Return the measured bit rate and the clock's offset in ppm."""
         return US_PER_S / (self._bit_us * self.period), (1.0 / self.period - 1.0) * 1e6
+
+
+def _clock(t: Floats, on: Flags) -> tuple[float, float]:
+    """Return bits a nominal bit and z of the periodogram over a window."""
+    sums = np.zeros((WINDOW_BLOCKS, 4 * clock.BLOCK_OFFSETS + 1))
+    cuts = np.searchsorted(t, np.arange(WINDOW_BLOCKS + 1) * float(clock.BLOCK_BITS))
+    for b in range(WINDOW_BLOCKS):
+        own = slice(cuts[b], cuts[b + 1])
+        clock.block(t[own] - b * clock.BLOCK_BITS, on[own], sums[b])
+    f, z = clock.peak(sums)
+    return float(f), float(z)
+
+
+def _larger(counts: npt.NDArray[np.int64]) -> float:
+    """Return the mean of the counts, each weighted by itself; at least 1."""
+    total = float(counts.sum())
+    return max(float((counts.astype(np.float64) ** 2).sum()) / total, 1.0) if total else 1.0

@@ -2,17 +2,18 @@
 
 Time is in nominal bits from the lock. Slot k is the bit's length about the boundary b_k between bits k - 1 and k::
 
-    x_k = ON events - OFF events in [b_k - T/2, b_k + T/2)          what is left of an edge there
-    e   = mean offset of the slot's events of the stronger polarity, where |x_k| >= A / 2
-    b  <- b + T + alpha e,  T <- T + alpha^2 / 4 e                  damping 1
-    A  <- A + (|x_k| - A) / 64                                      where |x_k| >= A / 2
+    x_k,p = events of polarity p in [b_k - T/2, b_k + T/2)          p: OFF, ON
+    e     = mean offset of the slot's events of a polarity with x_k,p >= A_p / 2
+    b    <- b + T + alpha e,  T <- T + alpha^2 / 4 e                damping 1
+    A_p  <- A_p + (x_k,p - A_p) / 64                                where x_k,p >= A_p / 2
 
-An edge's events reach into the slots around it where the jitter is a large share of a bit, and pixels that have just
-fired are blind to it: what x_k is like depends on the bits before and on the next one. So x_k has a mean and a variance
-for each context c = (b_{k-3}, b_{k-2}, b_{k-1}, b_k, b_{k+1}), 32 of them, learned from the decisions, and the bits are
-those of the cheapest path (Viterbi, 16 states)::
+An edge's events reach into the slots around it where the jitter is a large share of a bit; pixels that have just fired
+are blind to it; and where it is dark around the light its OFF events trail for many bits. What x_k is like depends on
+the bits before and on the next one. So x_k,p has a mean and a variance for each context c = (b_{k-3}, b_{k-2}, b_{k-1},
+b_k, b_{k+1}), 32 of them, learned from the decisions, and the bits are those of the cheapest path (Viterbi, 16
+states)::
 
-    cost = sum_k (x_k - mean_c)^2 / (2 var_c) + ln(var_c) / 2
+    cost = sum_k sum_p (x_k,p - mean_c,p)^2 / (2 var_c,p) + ln(var_c,p) / 2
 
 A bit is decided DEPTH bits later. The levels are absolute: an ON event means light.
 """
@@ -46,39 +47,54 @@ CONTEXT_MEMORY: Final = 256.0
 # Without an edge for so long the clock is no clock any more: 100 ppm make .2 bit.
 SILENT_MOST: Final = 2_000
 
-# floats: boundary of the slot that is being filled, period, amplitude, sums of the slot (offsets and counts of OFF and
-# ON), x of the slot before.
-B, T, A, OFF_SUM, ON_SUM, OFF_N, ON_N, X = range(8)
-FLOATS: Final = 8
-# ints: the slot's number, slots without an edge.
-SLOT, SILENT = range(2)
-INTS: Final = 2
+# floats: boundary of the slot that is being filled, period; then by polarity (OFF, ON): amplitude A, sum of the slot's
+# offsets, its events, those of the slot before.
+B, T, A, SUM, N, X = 0, 1, 2, 4, 6, 8
+FLOATS: Final = 10
+# ints: the slot's number, slots without an edge, whether OFF events steer the clock.
+SLOT, SILENT, OFF_STEERS = range(3)
+INTS: Final = 3
 
 DONE, SILENCE = 0, 1
 
 
 @numba.njit(cache=True, nogil=True)
-def guess(amplitude: float, mean: Floats, var: Floats, seen: Floats) -> None:
-    """Set what contexts look like before anything is learned: an edge is one slot's."""
+def guess(off: float, lit: float, trails: bool, mean: Floats, var: Floats, seen: Floats) -> None:
+    """Set what contexts look like before anything is learned: an edge is one slot's.
+
+    Args:
+        off: OFF events of a fall.
+        lit: ON events of a rise.
+        trails: OFF events come all along dark bits, not at falls alone.
+        mean: (CONTEXTS, 2) out.
+        var: (CONTEXTS, 2) out.
+        seen: (CONTEXTS,) out.
+    """
     for c in range(CONTEXTS):
         # Bits of c, newest last: k-3, k-2, k-1, k, k+1.
-        mean[c] = amplitude * (((c >> 1) & 1) - ((c >> 2) & 1))
-        var[c] = max(1.0, (amplitude / 3.0) ** 2)
+        edge = ((c >> 1) & 1) - ((c >> 2) & 1)
+        fallen = ((c >> 1) & 1) == 0 if trails else edge < 0
+        mean[c, 0] = off if fallen else 0.0
+        mean[c, 1] = lit if edge > 0 else 0.0
+        var[c, 0] = max(1.0, (off / 3.0) ** 2)
+        var[c, 1] = max(1.0, (lit / 3.0) ** 2)
         seen[c] = 0.0
 
 
 @numba.njit(cache=True, nogil=True)
-def _step(x: float, slot: int, mean: Floats, var: Floats, cost: Floats, back: Ints) -> None:
-    """Extend all paths by the bit after the slot that holds x."""
+def _step(off: float, lit: float, slot: int, mean: Floats, var: Floats, cost: Floats, back: Ints) -> None:
+    """Extend all paths by the bit after the slot that holds so many OFF and ON events."""
+    branch = np.empty(CONTEXTS)
+    for c in range(CONTEXTS):
+        a, b = off - mean[c, 0], lit - mean[c, 1]
+        branch[c] = 0.5 * (a * a / var[c, 0] + b * b / var[c, 1] + math.log(var[c, 0] * var[c, 1]))
     new = np.empty(STATES)
     for s in range(STATES):
         best, which = math.inf, 0
         for oldest in range(2):
             # The state before: its oldest bit falls out of the new one.
             before = (oldest << 3) | (s >> 1)
-            c = (before << 1) | (s & 1)
-            off = x - mean[c]
-            through = cost[before] + off * off / (2.0 * var[c]) + 0.5 * math.log(var[c])
+            through = cost[before] + branch[(before << 1) | (s & 1)]
             if through < best:
                 best, which = through, oldest
         new[s] = best
@@ -98,31 +114,37 @@ def _settled(slot: int, cost: Floats, back: Ints) -> int:
 
 
 @numba.njit(cache=True, nogil=True)
-def _learn(x: float, c: int, mean: Floats, var: Floats, seen: Floats) -> None:
+def _learn(off: float, lit: float, c: int, mean: Floats, var: Floats, seen: Floats) -> None:
     seen[c] = min(seen[c] + 1.0, CONTEXT_MEMORY)
     rate = 1.0 / (seen[c] + PRIOR)
-    off = x - mean[c]
-    mean[c] += rate * off
-    # At least that of one event: a context that was the same a few times by chance must not outvote all others.
-    var[c] = max(var[c] + rate * (off * off - var[c]), 1.0)
+    for p in range(2):
+        away = (lit if p == 1 else off) - mean[c, p]
+        mean[c, p] += rate * away
+        # At least that of one event: a context that was the same a few times by chance must not outvote all others.
+        var[c, p] = max(var[c, p] + rate * (away * away - var[c, p]), 1.0)
 
 
 @numba.njit(cache=True, nogil=True)
-def _close(floats: Floats, ints: Ints) -> float:
-    """End the slot that is being filled; return its x."""
-    x = float(floats[ON_N] - floats[OFF_N])
-    if abs(x) >= 0.5 * floats[A]:
-        error = floats[ON_SUM] / floats[ON_N] if x > 0.0 else floats[OFF_SUM] / floats[OFF_N]
-        floats[B] += ALPHA * error
-        floats[T] += 0.25 * ALPHA * ALPHA * error
-        floats[A] += (abs(x) - floats[A]) / MEMORY
-        ints[SILENT] = 0
-    else:
-        ints[SILENT] += 1
+def _close(floats: Floats, ints: Ints) -> None:
+    """End the slot that is being filled."""
+    strong = False
+    error, weight = 0.0, 0.0
+    for p in range(2):
+        n = floats[N + p]
+        if n > 0.0 and n >= 0.5 * floats[A + p]:
+            strong = True
+            floats[A + p] += (n - floats[A + p]) / MEMORY
+            if p == 1 or ints[OFF_STEERS] != 0:
+                error += floats[SUM + p]
+                weight += n
+    if weight > 0.0:
+        floats[B] += ALPHA * error / weight
+        floats[T] += 0.25 * ALPHA * ALPHA * error / weight
+    ints[SILENT] = 0 if strong else ints[SILENT] + 1
     floats[B] += floats[T]
-    floats[OFF_SUM] = floats[ON_SUM] = floats[OFF_N] = floats[ON_N] = 0.0
+    for p in range(2):
+        floats[SUM + p] = floats[N + p] = 0.0
     ints[SLOT] += 1
-    return x
 
 
 @numba.njit(cache=True, nogil=True)
@@ -145,8 +167,8 @@ def advance(
         until: there are no more events before this time.
         floats: (FLOATS,) state.
         ints: (INTS,) state.
-        paths: cost (STATES,), back (RING, STATES), x (RING,) and boundary (RING,) of the last slots.
-        learned: mean, variance and how often seen, of each context.
+        paths: cost (STATES,), back (RING, STATES), x (RING, 2) and boundary (RING,) of the last slots.
+        learned: mean (CONTEXTS, 2), variance (CONTEXTS, 2) and how often seen (CONTEXTS,).
         bits: out: the decided bits, room for every slot that ends before until.
         ends: out: when each of them ended.
 
@@ -162,24 +184,22 @@ def advance(
             return DONE, taken, decided
         while taken < len(t) and t[taken] < end:
             offset = t[taken] - floats[B]
-            if on[taken]:
-                floats[ON_SUM] += offset
-                floats[ON_N] += 1.0
-            else:
-                floats[OFF_SUM] += offset
-                floats[OFF_N] += 1.0
+            p = 1 if on[taken] else 0
+            floats[SUM + p] += offset
+            floats[N + p] += 1.0
             taken += 1
         slot = ints[SLOT]
         boundaries[slot % RING] = floats[B]
-        x = _close(floats, ints)
-        xs[slot % RING] = x
         if slot > 0:
-            # The next bit is known to matter for an edge's slot: it is looked at one slot later.
-            _step(floats[X], slot, mean, var, cost, back)
-        floats[X] = x
+            # The next bit matters for an edge's slot too: it is looked at one slot later.
+            _step(floats[X], floats[X + 1], slot, mean, var, cost, back)
+        for p in range(2):
+            floats[X + p] = xs[slot % RING, p] = floats[N + p]
+        _close(floats, ints)
         if slot > DEPTH + 4:
             c = _settled(slot, cost, back)
-            _learn(xs[(slot - DEPTH - 1) % RING], c, mean, var, seen)
+            k = (slot - DEPTH - 1) % RING
+            _learn(xs[k, 0], xs[k, 1], c, mean, var, seen)
             bits[decided] = c & 1
             ends[decided] = boundaries[(slot - DEPTH + 1) % RING]
             decided += 1
