@@ -27,6 +27,8 @@ WINDOW_BITS: Final = WINDOW_BLOCKS * clock.BLOCK_BITS
 EVENTS_LEAST: Final = WINDOW_BITS // 2
 EVENTS_MOST: Final = 1_000_000  # of a window; more is a glare
 REHEARSALS: Final = 3
+# The clock of both polarities is used unless that of the rises alone stands out twice as much.
+STEERS_LEAST: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,7 +149,7 @@ class OokBits:
         f, z = _clock(t, on)
         f_lit, z_lit = _clock(t[on], on[on]) if on.any() else (1.0, 0.0)
         # Falls that trail for many bits hide the clock of the rises.
-        steers = z >= z_lit
+        steers = z >= STEERS_LEAST * z_lit
         if max(z, z_lit) < clock.THRESHOLD_LONG:
             self._refusals[Refusal.NO_CLOCK] += 1
             return False
@@ -160,14 +162,25 @@ class OokBits:
         # Of the larger slots, as most have no edge or but a rest of one.
         slot = np.maximum(np.floor((t - found[0]) / found[1] + 0.5).astype(np.int64), 0)
         off, lit = (_larger(np.bincount(slot[on == level])) for level in (False, True))
-        ook_kernel.guess(off, lit, not steers, *self._learned)
         eff, by, _ = self._shifted(stop)
-        for rehearsal in range(REHEARSALS + 1):
-            self._start(float(found[0]), float(found[1]), off, lit, steers=steers)
-            if rehearsal < REHEARSALS:
-                self._advance(eff, by, WINDOW_BITS - 1.0)
+        start = float(found[0]), float(found[1]), off, lit
+        # Whether falls trail is not seen from outside: the guess under which the window is likelier is kept.
+        costs = [self._rehearse(eff, by, start, steers=steers, trails=trails) for trails in (False, True)]
+        if costs[0] <= costs[1]:
+            self._rehearse(eff, by, start, steers=steers, trails=False)
+        self._start(*start, steers=steers)
         self._fresh = True
         return True
+
+    def _rehearse(
+        self, t: Floats, on: Flags, start: tuple[float, float, float, float], *, steers: bool, trails: bool
+    ) -> float:
+        """Learn the contexts from a window; return what its cheapest path costs in the end."""
+        ook_kernel.guess(start[2], start[3], trails, *self._learned)
+        for _ in range(REHEARSALS):
+            self._start(*start, steers=steers)
+            self._advance(t, on, WINDOW_BITS - 1.0)
+        return float(self._floats[ook_kernel.COST])
 
     def _start(self, boundary: float, period: float, off: float, lit: float, *, steers: bool) -> None:
         """Set the state to the beginning of a window; what has been learned stays."""

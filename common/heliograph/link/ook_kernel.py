@@ -48,9 +48,9 @@ CONTEXT_MEMORY: Final = 256.0
 SILENT_MOST: Final = 2_000
 
 # floats: boundary of the slot that is being filled, period; then by polarity (OFF, ON): amplitude A, sum of the slot's
-# offsets, its events, those of the slot before.
-B, T, A, SUM, N, X = 0, 1, 2, 4, 6, 8
-FLOATS: Final = 10
+# offsets, its events, those of the slot before; last what the cheapest path has cost.
+B, T, A, SUM, N, X, COST = 0, 1, 2, 4, 6, 8, 10
+FLOATS: Final = 11
 # ints: the slot's number, slots without an edge, whether OFF events steer the clock.
 SLOT, SILENT, OFF_STEERS = range(3)
 INTS: Final = 3
@@ -82,8 +82,8 @@ def guess(off: float, lit: float, trails: bool, mean: Floats, var: Floats, seen:
 
 
 @numba.njit(cache=True, nogil=True)
-def _step(off: float, lit: float, slot: int, mean: Floats, var: Floats, cost: Floats, back: Ints) -> None:
-    """Extend all paths by the bit after the slot that holds so many OFF and ON events."""
+def _step(off: float, lit: float, slot: int, mean: Floats, var: Floats, cost: Floats, back: Ints) -> float:
+    """Extend all paths by the bit after a slot of so many OFF and ON events; return what the cheapest has paid."""
     branch = np.empty(CONTEXTS)
     for c in range(CONTEXTS):
         a, b = off - mean[c, 0], lit - mean[c, 1]
@@ -99,9 +99,10 @@ def _step(off: float, lit: float, slot: int, mean: Floats, var: Floats, cost: Fl
                 best, which = through, oldest
         new[s] = best
         back[slot % RING, s] = which
-    least = new.min()
+    least = float(new.min())
     for s in range(STATES):
         cost[s] = new[s] - least
+    return least
 
 
 @numba.njit(cache=True, nogil=True)
@@ -192,7 +193,7 @@ def advance(
         boundaries[slot % RING] = floats[B]
         if slot > 0:
             # The next bit matters for an edge's slot too: it is looked at one slot later.
-            _step(floats[X], floats[X + 1], slot, mean, var, cost, back)
+            floats[COST] += _step(floats[X], floats[X + 1], slot, mean, var, cost, back)
         for p in range(2):
             floats[X + p] = xs[slot % RING, p] = floats[N + p]
         _close(floats, ints)
