@@ -21,6 +21,7 @@ from support.async_lights import read
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "pulse_interval.json").read_text())
 P_RATE = 5000.0
+END = (1, 0, 0, 0, 1)  # the start after the last word
 LIGHT = AsyncPixels(pixels=30, jitter_us=8.0, noise_hz=2e3)
 
 
@@ -49,7 +50,7 @@ def test_any_payload_of_any_length_comes_back(data: st.DataObject) -> None:
     payload = data.draw(st.integers(0, 2**bits - 1))
     kind = modulation("pulse_interval", bits=bits)
     ppm = data.draw(st.sampled_from([-20_000.0, 0.0, 300.0, 20_000.0]))
-    got = read(kind.receiver(P_RATE), *sent((*kind.encode(payload) * 4, 1), P_RATE, LIGHT, 1, ppm=ppm))
+    got = read(kind.receiver(P_RATE), *sent((*kind.encode(payload) * 4, *END), P_RATE, LIGHT, 1, ppm=ppm))
     assert got.payloads == [payload] * 4
     assert got.identity is not None
 
@@ -65,7 +66,7 @@ def test_any_split_of_the_stream_gives_the_same_frames(cuts: list[int]) -> None:
 
 def test_a_lost_rise_costs_its_word_alone_and_is_counted() -> None:
     kind = modulation("pulse_interval")
-    at_us, levels = edges_of((*kind.encode(42) * 5, 1), 100.0, 200.0)
+    at_us, levels = edges_of((*kind.encode(42) * 5, *END), 100.0, 200.0)
     rises = at_us[levels]
     t_us = np.delete(rises, 9 + 4).astype(np.int64)  # in the second word
     receiver = kind.receiver(P_RATE)
@@ -76,8 +77,8 @@ def test_a_lost_rise_costs_its_word_alone_and_is_counted() -> None:
 
 def test_two_equal_words_are_no_identity_and_three_are() -> None:
     kind = modulation("pulse_interval")
-    two = read(kind.receiver(P_RATE), *sent((*kind.encode(9) * 2, 1), P_RATE, LIGHT, 0))
-    three = read(kind.receiver(P_RATE), *sent((*kind.encode(9) * 3, 1), P_RATE, LIGHT, 0))
+    two = read(kind.receiver(P_RATE), *sent((*kind.encode(9) * 2, *END), P_RATE, LIGHT, 0))
+    three = read(kind.receiver(P_RATE), *sent((*kind.encode(9) * 3, *END), P_RATE, LIGHT, 0))
     assert (len(two.frames), two.identity) == (2, None)
     assert three.identity is not None
     assert three.identity.frames_used == 3
@@ -106,10 +107,19 @@ def test_no_stored_codebook_word_reads_as_a_word_at_the_same_rate() -> None:
             assert read(kind.receiver(P_RATE), t_us, np.ones(len(t_us), np.bool_)).identity is None
 
 
+def test_a_longer_word_is_not_read_for_its_first_bits() -> None:
+    for bits in (9, 16, 32):
+        longer = modulation("pulse_interval", bits=bits)
+        receiver = modulation("pulse_interval").receiver(P_RATE)
+        got = read(receiver, *sent(longer.encode(77) * 20, P_RATE, LIGHT, bits))
+        assert (got.frames, got.identity) == ([], None)
+        assert receiver.refusals[Refusal.NO_START_CODE] == 20
+
+
 def test_another_payload_takes_over_only_with_three_words_of_its_own() -> None:
     kind = modulation("pulse_interval")
     receiver = kind.receiver(P_RATE)
-    bits = (*kind.encode(1) * 4, *kind.encode(2) * 2, *kind.encode(1) * 2, *kind.encode(3) * 3, 1)
+    bits = (*kind.encode(1) * 4, *kind.encode(2) * 2, *kind.encode(1) * 2, *kind.encode(3) * 3, *END)
     got = read(receiver, *sent(bits, P_RATE, LIGHT, 0))
     assert got.identity is not None
     assert got.identity.payload == 3
@@ -154,7 +164,7 @@ def test_what_cannot_be_sent_or_received_is_refused_by_name() -> None:
 def test_the_quality_tells_clock_jitter_and_events() -> None:
     kind = modulation("pulse_interval")
     receiver = kind.receiver(P_RATE)
-    t_us, on = sent(kind.encode(9) * 40, P_RATE, AsyncPixels(pixels=30, jitter_us=3.0), 0, ppm=5000.0)
+    t_us, on = sent((*kind.encode(9) * 40, *END), P_RATE, AsyncPixels(pixels=30, jitter_us=3.0), 0, ppm=5000.0)
     read(receiver, t_us, on)
     quality = receiver.quality(int(t_us[-1]))
     assert quality.mar_estimate == 1.0

@@ -1,7 +1,8 @@
 """The receiver of `pulse_interval` (`heliograph.link.modulations.pulse_interval`): rises in, words out.
 
 A gap d between two rises (`heliograph.link.rises`) means n = 2, 3 or 4 units p if |d - n p| <= tolerance n p. A word is
-a start and exactly its data bits; what breaks it is counted, and the next start begins anew.
+a start and exactly its data bits: it counts once the gap after it is a start too, or longer words would be read for
+their first bits. What breaks it is counted, and the next start begins anew.
 
 Margin. The deviations e = d / p - n of the gaps have a standard deviation s, learned (at least .02). A gap read as its
 nearest neighbour n +- 1 would be off by 1 - |e|::
@@ -12,7 +13,7 @@ Identity: three equal words, no other between, within five word lengths. Chance 
 a rise begins a gap of n units with a chance of (n - 1) / 2^n, so of 2, 3 and 4 with 1/4, 1/4 and 3/16. Three words of b
 bits, the last two equal to the first, at any of six pairs of places::
 
-    3/16 (1/4 + 1/4)^b * (3/16 (1/4)^b)^2 * 6 = 3.6e-14 with b = 8, a rise; less with more bits
+    3/16 (1/4 + 1/4)^b * (3/16 (1/4)^b)^2 * 6 = 3.6e-14 with b = 8, a rise; less with more bits, and with the last start
 """
 
 from __future__ import annotations
@@ -88,7 +89,7 @@ class PulseReceiver:
         return out
 
     def flush(self) -> list[LinkFrame | Text]:
-        """Return nothing: a word ends with the rise after it, and without one nothing tells its last bit."""
+        """Return nothing: a word counts once the start after it has been seen."""
         return []
 
     def identity(self) -> Identity | None:
@@ -123,7 +124,9 @@ class PulseReceiver:
             self._break(Refusal.OCCLUSION if n > GAP_START else Refusal.OFF_GRID, end_us)
             return
         if n == GAP_START:
-            if self._word is not None and len(self._word) < self._bits:
+            if self._word is not None and len(self._word) == self._bits:
+                self._decide(self._last_us or 0, out)
+            else:
                 self._break(Refusal.UNKNOWN_WORD, end_us)
             self._word, self._errors = [], [units - n]
             return
@@ -134,8 +137,6 @@ class PulseReceiver:
             return
         self._word.append(n - GAP_0)
         self._errors.append(units - n)
-        if len(self._word) == self._bits:
-            self._decide(end_us, out)
 
     def _break(self, reason: Refusal, end_us: int) -> None:
         """Give up the word that was being read, if there was one."""
@@ -146,6 +147,7 @@ class PulseReceiver:
         self._word = None
 
     def _decide(self, end_us: int, out: list[LinkFrame | Text]) -> None:
+        """Decide the word that ended at end_us."""
         word = self._word or []
         payload = sum(bit << i for i, bit in enumerate(word))
         units = GAP_START + sum(bit + GAP_0 for bit in word)
