@@ -7,7 +7,9 @@ their first bits. What breaks it is counted, and the next start begins anew.
 Margin. The deviations e = d / p - n of the gaps have a standard deviation s, learned (at least .02). A gap read as its
 nearest neighbour n +- 1 would be off by 1 - |e|::
 
-    margin = min over the word's gaps of ((1 - |e|)^2 - e^2) / (2 s^2) = (1 - 2 |e|) / (2 s^2)
+    margin = min over the word's gaps of ((1 - |e|)^2 - e^2) / (2 s^2) = (1 - 2 |e|) / (2 s^2), at most ln(1e6)
+
+The spread knows nothing of rises that are missed or made up: no word is surer than one in a million.
 
 Identity: three equal words, no other between, within five word lengths. Chance that random bits of period p give one:
 a rise begins a gap of n units with a chance of (n - 1) / 2^n, so of 2, 3 and 4 with 1/4, 1/4 and 3/16. Three words of b
@@ -19,7 +21,7 @@ bits, the last two equal to the first, at any of six pairs of places::
 from __future__ import annotations
 
 from collections import Counter, deque
-from math import exp, log10
+from math import exp, log, log10
 from typing import Final
 
 import numpy as np
@@ -39,6 +41,7 @@ TAU: Final = 0.35
 # Units of p without a rise after which the threshold is halved: eight of the longest gaps.
 SILENCE: Final = 32
 SPREAD_LEAST: Final = 0.02
+MARGIN_MOST: Final = log(1e6)
 # Gaps averaged for the spread and the clock: four words of 8 bits.
 MEMORY: Final = 32
 
@@ -158,7 +161,8 @@ class PulseReceiver:
         self._clock += (1.0 + stretch - self._clock) / max(self._gaps // len(self._errors), 1)
         spread2 = max(self._spread2, SPREAD_LEAST**2)
         margin = min((1.0 - 2.0 * abs(error)) / (2.0 * spread2) for error in self._errors)
-        frame = LinkFrame(end_us, payload, probability(margin), max(margin, 0.0))
+        margin = min(max(margin, 0.0), MARGIN_MOST)
+        frame = LinkFrame(end_us, payload, probability(margin), margin)
         self._recent.append((end_us, True))
         place = Place(0, round(end_us / (units * self._p_us)))
         if self._acceptance.frame(frame, place):
