@@ -66,6 +66,10 @@ class Refusal(Enum):
     WEAK = "likelihood below the threshold"
     PAYLOAD_CHANGED = "payload differs from the confirmed one"
     NO_CLOCK = "no bit clock found"
+    # Packets and their messages.
+    CHECKSUM = "checksum"
+    REPEATED = "received before"
+    LOST = "message lost"
 
 
 Refusals = Counter[Refusal]

@@ -61,11 +61,19 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """Data released for the reader: everything held back has passed the identification rule."""
+    """Data released for the reader: everything held back has passed the identification rule.
+
+    Args:
+        t_us: end of what carried it.
+        text: characters, or
+        data: bytes.
+        whole: a message by itself, never joined with another; otherwise a piece of a stream.
+    """
 
     t_us: int
     text: str | None
     data: bytes | None
+    whole: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -144,11 +144,11 @@ class Publisher:
         return (x, y, z)
 
     def data(self, track: str, protocol: str, beacon: str | None, texts: Iterable[Text]) -> list[Message]:
-        """Return the texts of a track joined: one record for a run of characters, one for a run of bytes."""
+        """Return the texts of a track joined: a record for a run of characters, of bytes, and for a whole message."""
         out: list[Message] = []
         run: list[Text] = []
         for text in texts:
-            if run and (text.text is None) != (run[-1].text is None):
+            if run and (text.whole or run[-1].whole or (text.text is None) != (run[-1].text is None)):
                 out.append(self._data(track, protocol, beacon, run))
                 run = []
             run.append(text)

@@ -6,7 +6,7 @@ import numpy as np
 
 from heliograph.core import Context
 from heliograph.events import EventBatch
-from heliograph.link import bitrate, ook_receiver, rises, text_receiver, trial, wang2022
+from heliograph.link import bitrate, ook_receiver, packet_receiver, rises, text_receiver, trial, wang2022
 from heliograph.messages import Tracks
 from heliograph.streams import Events
 from heliograph_services.decoder.config import DecoderConfig
@@ -15,12 +15,13 @@ from heliograph_services.decoder.tiles import FEW_EVENTS, WHOLE_LOOKS, Tiles
 
 
 def warm_all() -> None:
-    """Compile, or load from the cache, every kernel: the decoder's own, and those of the cyclic codes and of text.
+    """Compile, or load from the cache, every kernel: the decoder's own, and those of cyclic codes, text and packets.
 
     A scene of two blinking pixels runs through a core, backlog and re-centring included. It is no text, and what a
     receiver of text compiles behind its lock would else stall the first beacon of a site.
     """
     text_receiver.warm()
+    packet_receiver.warm()
     trial.warm()
     wang2022.warm()
     bitrate.warm()

@@ -20,6 +20,7 @@ MODULATIONS: Final[dict[str, tuple[str, str]]] = {
     "frequency": ("heliograph.link.modulations.frequency", "Frequency"),
     "ook_fast": ("heliograph.link.modulations.ook_fast", "OokFast"),
     "event_interval": ("heliograph.link.modulations.event_interval", "EventInterval"),
+    "packet": ("heliograph.link.modulations.packet", "Packet"),
 }
 # Their frames are characters, their payloads the characters' codes.
 TEXT: Final = frozenset({"uart", "ook_fast", "event_interval"})

@@ -29,6 +29,7 @@ from heliograph_services.event_source.simulation.world.spec import (
     Steady,
     Telegraph,
 )
+from heliograph_services.event_source.simulation.world.text import frames_of_text
 
 # Fresh payloads are drawn from the first so many of a modulation: more than any codebook of ours has.
 PAYLOADS_TRIED: Final = 1024
@@ -101,7 +102,7 @@ def _rounds(spec: BeaconSpec) -> Rounds:
         return Rounds.drawn(safe_frames(kind), spec.gap_bits)
     try:
         if spec.text is not None:
-            frames = [(ord(character), kind.encode(character)) for character in spec.text]
+            frames = frames_of_text(kind, spec)
         else:
             frames = [(int(spec.payload or 0), kind.encode(spec.payload))]
     except TypeError as error:

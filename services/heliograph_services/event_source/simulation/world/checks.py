@@ -15,6 +15,7 @@ from heliograph.units import US_PER_S
 from heliograph_services.event_source.simulation.contract import NODE_US, Floats
 from heliograph_services.event_source.simulation.world.crowd import sendable
 from heliograph_services.event_source.simulation.world.spec import BeaconSpec, Scenario
+from heliograph_services.event_source.simulation.world.text import frames_of_text
 from heliograph_services.event_source.simulation.world.world import World
 
 # An image that goes farther than this between two nodes (1 ms) is no longer where a straight line has it.
@@ -178,8 +179,7 @@ def _unsendable(spec: BeaconSpec) -> str | None:
         kind: Any = modulation(spec.protocol, **spec.options)
         if spec.text is not None:
             what = f"text {spec.text[:20]!r}"
-            for character in spec.text:
-                kind.encode(character)
+            frames_of_text(kind, spec)
         elif spec.payload is not None:
             what = f"payload {spec.payload}"
             kind.encode(spec.payload)

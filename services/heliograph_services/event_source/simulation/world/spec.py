@@ -283,7 +283,8 @@ class BeaconSpec(Emitter, frozen=True, kw_only=True, forbid_unknown_fields=True)
         bit_rate: bits a second.
         options: of the modulation.
         payload: what it sends, over and over; or
-        text: what it sends, a frame a character, over and over; or
+        text: what it sends, over and over: a frame a character, or a message a line where the protocol has messages
+            (then with the payload as its address); or
         fresh: a new safe payload for every frame, drawn from the seed; or
         edges: a file of edges (`t_ns,level`), a FIFO or a pty among them, from real firmware.
         gap_bits: bits of the last level between two rounds.
@@ -306,7 +307,8 @@ class BeaconSpec(Emitter, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if sum((self.payload is not None, self.text is not None, self.fresh, bool(self.edges))) != 1:
+        says = self.payload is not None or self.text is not None
+        if sum((says, self.fresh, bool(self.edges))) != 1:
             raise ValueError(f"beacon {self.name} must have one of payload, text, fresh, edges")
 
 

@@ -1,0 +1,119 @@
+"""The state of one track's packet demodulator: arrays in one tuple, shared by the compiled stages.
+
+As in `heliograph.link.state`, whose places in `floats`, `ints` and `facts` hold here too, for the stages that both
+share (`response`, `demodulator.steer`); slot m lives at m mod the ring's length, which holds two packets.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from heliograph.link import response
+from heliograph.link import state as shared
+from heliograph.link.clock import SUB, Floats
+from heliograph.link.convolutional import TAIL
+from heliograph.link.packet_layout import Ints, Layout
+from heliograph.link.viterbi import SIGNS, Octets
+
+# Further places in `ints`.
+NEXT: Final = shared.INTS  # the slot before the packet that may follow the last one; -1 where none was read
+INTS: Final = NEXT + 1
+
+# Columns of a record in `out`.
+OUT_END: Final = 0  # end of the packet
+OUT_GOOD: Final = 1  # 1: read, 0: its check is wrong
+OUT_EVIDENCE: Final = 2
+OUT_FIELDS: Final = 3
+# A slot writes one record at most; the kernel returns to be emptied when they are full.
+OUT_ROOM: Final = 8
+
+
+class PacketState(NamedTuple):
+    """Arrays that the kernels change in place.
+
+    Args:
+        floats: (shared.FLOATS,).
+        ints: (INTS,).
+        ring: (slots, 4) tempered likelihoods.
+        facts: (slots, shared.FACTS), of which the boundary and the probability of a transition are set.
+        counts: (slots, 2, SUB) events, by polarity (OFF, ON) and sub-bin.
+        model, seen, logs, total, core, share, figures: as in `heliograph.link.state`.
+        sync, mother, flip, signs: the packet (`heliograph.link.packet_soft.decide`).
+        data, sent, whole: what was decided last: bits before the code, bits on the air, bytes.
+        out: (OUT_ROOM, OUT_FIELDS) records.
+        read: (OUT_ROOM, bytes) HEADER, DATA and CRC of each.
+    """
+
+    floats: Floats
+    ints: Ints
+    ring: Floats
+    facts: Floats
+    counts: npt.NDArray[np.int32]
+    model: Floats
+    seen: Ints
+    logs: Floats
+    total: Floats
+    core: npt.NDArray[np.bool_]
+    share: Floats
+    figures: Floats
+    sync: Octets
+    mother: Ints
+    flip: Octets
+    signs: Floats
+    data: Octets
+    sent: Octets
+    whole: Octets
+    out: Floats
+    read: Octets
+
+
+def new_state(layout: Layout) -> PacketState:
+    """Return the state of a track that has no clock yet (120 kB with 16 bytes of data)."""
+    slots, n_bytes = 2 * layout.bits, (layout.steps - TAIL) // 8
+    tables = layout.tables()
+    return PacketState(
+        floats=np.zeros(shared.FLOATS),
+        ints=np.zeros(INTS, np.int64),
+        ring=np.ones((slots, 4)),
+        facts=np.zeros((slots, shared.FACTS)),
+        counts=np.zeros((slots, 2, SUB), np.int32),
+        model=np.zeros((4, 2, SUB)),
+        seen=np.zeros(4, np.int64),
+        logs=np.zeros((4, 2, SUB)),
+        total=np.zeros(4),
+        core=np.zeros((2, SUB), np.bool_),
+        share=np.zeros((2, SUB)),
+        figures=np.zeros(response.FIGURES),
+        sync=tables.sync,
+        mother=tables.mother,
+        flip=tables.flip,
+        signs=SIGNS.copy(),
+        data=np.zeros(layout.steps, np.uint8),
+        sent=np.zeros(layout.bits, np.uint8),
+        whole=np.zeros(n_bytes, np.uint8),
+        out=np.zeros((OUT_ROOM, OUT_FIELDS)),
+        read=np.zeros((OUT_ROOM, n_bytes), np.uint8),
+    )
+
+
+def start(state: PacketState, folded: Floats | None, found: Floats) -> None:
+    """Begin with a new lock.
+
+    Args:
+        state: to be set.
+        folded: (2, SUB) of `heliograph.link.clock.grid`; None where the model is set already (`heliograph.link.level`).
+        found: (4,) of `heliograph.link.clock.grid`.
+    """
+    state.floats[:] = 0.0
+    state.floats[shared.BOUNDARY], state.floats[shared.PERIOD], state.floats[shared.HALF] = found[:3]
+    state.ints[:] = 0
+    state.ints[NEXT] = -1
+    state.ring[:] = 1.0
+    state.facts[:] = 0.0
+    state.counts[:] = 0
+    if folded is not None:
+        response.start(folded, found[3], state.model, state.seen)
+    response.tabulate(state.model, state.logs, state.total, state.core, state.share, state.figures)
