@@ -108,7 +108,7 @@ def test_a_beacon_that_was_silent_for_long_says_it_again() -> None:
 
 @given(st.lists(st.tuples(st.integers(0, 255), st.integers(0, 15), st.integers(0, 63), st.booleans()), max_size=200))
 def test_memory_is_bounded_whatever_comes(rows: list[tuple[int, int, int, bool]]) -> None:
-    reassembler, refusals = fresh()
+    reassembler, _refusals = fresh()
     for i, (address, number, fragment, more) in enumerate(rows):
         reassembler.take(Packet(address, False, number, fragment, more, bytes(16)), i * 1000)
         assert len(reassembler._parts) <= MESSAGES_LIMIT

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from heliograph.events import Flags, Times
-from heliograph.link import clock, level, polarity
+from heliograph.link import clock, level, packet_response, polarity
 
 # Fewest bits since the light came: fewer are not worth a look.
 WINDOW_LEAST_BITS: Final = 32
@@ -52,8 +52,8 @@ class ClockSearch:
 
     Args:
         bit_us: nominal length of a bit.
-        model: (4, 2, SUB) out: the rates, where the light shows its levels.
-        seen: (4,) out: zero, then.
+        model: (8, 2, SUB) out: the rates, where the light shows its levels.
+        seen: (8,) out: zero, then.
     """
 
     def __init__(self, bit_us: float, model: clock.Floats, seen: np.ndarray[tuple[int], np.dtype[np.int64]]) -> None:
@@ -177,8 +177,10 @@ class ClockSearch:
             clock.grid(edge_t, edge_on, f, until, found, folded)
             if sign == LEVEL:
                 # The edges of a level are no clock unless the bits between them show it.
-                if not level.start(t, on, until, found, self._model, self._seen):
+                pairs, seen = np.zeros((4, 2, clock.SUB)), np.zeros(4, np.int64)
+                if not level.start(t, on, until, found, pairs, seen):
                     continue
+                packet_response.from_pairs(pairs, self._model)
             else:
                 polarity.start(t, on, until, found, edge_t, edge_on, self._model, self._seen)
             return Clock(origin_us, found, None, self._t[start:], self._on[start:])

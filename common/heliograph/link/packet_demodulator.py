@@ -4,7 +4,9 @@ Slots are closed as in `heliograph.link.demodulator`. The clock is steered by a 
 place the response has them (it is not moved to their middle: in dim light a burst goes on for bits, and its middle in a
 slot means little). The shift that they ask for is, to first order, that of the likelihood::
 
-    e = -sum (n - r) s / sum r s^2        r = rate[x, p, k], s = d ln r / dk;  the loop as in `heliograph.link.clock`
+    e = -sum (n - r) s / sum r s^2        r = rate[x, p, k] of the likeliest x, s = d ln r / dk
+
+The loop is that of `heliograph.link.clock`.
 
 Each closing slot may be the end of a
 packet: a position whose sync shows SYNC_LEAST nats is decided (`heliograph.link.packet_soft`), and so is the one right
@@ -31,32 +33,29 @@ from heliograph.link import (
     convolutional,
     demodulator,
     likelihood,
+    packet_response,
     packet_soft,
     packet_state,
-    packet_training,
     response,
     viterbi,
 )
 from heliograph.link import state as shared
 from heliograph.link.clock import CLOCK_LIMIT, GAIN_END, GAIN_SLOTS, GAIN_START, SUB, Floats
 from heliograph.link.demodulator import AVERAGE, DONE, ERROR_LIMIT, FULL, LOST, SURE
-from heliograph.link.packet_soft import EVIDENCE_LEAST, checks, decide, evidence
+from heliograph.link.packet_response import ROWS
+from heliograph.link.packet_soft import EVIDENCE_LEAST, checks, decide, evidence, temper
 from heliograph.link.packet_state import NEXT, OUT_END, OUT_EVIDENCE, OUT_GOOD, OUT_ROOM, PacketState
-from heliograph.link.packet_training import likelihoods, relook, train
 from heliograph.link.stamp import stamp
 from heliograph.link.state import AT, BOUNDARY, EDGE, EDGES, EVENTS, JITTER2, OUT, PERIOD, SEARCHED, SILENT, SLOT
 
-# A sync of 24 bits shows 16 nats, 3 less for each transition that it lacks. Of random bits one position in
-# some 300 passes, and costs a decision (80 us); with a twentieth of the transitions lost 1 in 1000 does not.
+# A sync of 24 bits shows 16 nats, 3 less for each transition that it lacks. Of random bits fewer than one position in
+# 55 passes (Markov), and costs a decision (0.1 ms); what passes with lost transitions is in bench/study_packet.py.
 SYNC_LEAST: Final = 4.0
 # So much is no chance within hours (2e-6 a position): a packet that is not read here was sent, and is counted.
 SYNC_SURE: Final = 13.0
 # Slots without a transition after which the clock is given up: known to 500 ppm it is then off by .05 bit, and
 # finding it again costs no packet (scrambled bits hold no run of more than 15 or so).
 SILENT_SLOTS: Final = 100
-# Slots after the lock at which the response is first learned from bits that nobody knows (`packet_training`); then again
-# after each half of a packet that passes without one that is read.
-FIRST_TRAINING: Final = 64
 # Packets' lengths without one that was read, after which another clock is looked for.
 SEARCH_PACKETS: Final = 8
 
@@ -68,12 +67,14 @@ def _close(state: PacketState) -> bool:
     size = state.ring.shape[0]
     at = ints[SLOT] % size
     here = state.counts[at]
-    likelihoods(state, at)
+    loglikelihood = np.empty(ROWS)
+    packet_response.loglikelihoods(here, state.logs, state.total, state.figures, loglikelihood)
+    temper(loglikelihood, state.ring[at])
     state.facts[at, AT] = floats[BOUNDARY]
     state.facts[at, EVENTS] = here.sum()
     error = _steer(state, at)
     ints[SEARCHED] += 1
-    _look(state)
+    _look_at(ints[SLOT] - len(state.sent), state)
     floats[BOUNDARY] += floats[PERIOD] + error
     ints[SLOT] += 1
     state.counts[ints[SLOT] % size] = 0
@@ -84,16 +85,16 @@ def _close(state: PacketState) -> bool:
 
 @numba.njit(nogil=True)
 def _steer(state: PacketState, at: int) -> float:
-    """Steer the period by the slot's transition; return by how much the next boundary moves besides (see the module)."""
+    """Steer the period by the slot's transition; return by how much the next boundary moves besides ."""
     floats, ints, x = state.floats, state.ints, state.ring[at]
-    whole = x[0] + x[1] + x[2] + x[3]
-    rise, fall = x[response.RISE] / whole, x[response.FALL] / whole
-    state.facts[at, EDGE] = rise + fall
-    if max(rise, fall) < SURE:
+    rise, fall = x[1] + x[5], x[2] + x[6]
+    whole = x.sum()
+    state.facts[at, EDGE] = (rise + fall) / whole
+    if max(rise, fall) < SURE * whole:
         ints[SILENT] += 1
         return 0.0
     ints[SILENT] = 0
-    logs = state.logs[response.RISE if rise > fall else response.FALL]
+    logs = state.logs[int(np.argmax(x))]
     score, information = 0.0, 0.5
     for p in range(2):
         for k in range(1, SUB - 1):
@@ -107,24 +108,6 @@ def _steer(state: PacketState, at: int) -> float:
     gain = GAIN_START if ints[EDGES] < GAIN_SLOTS else GAIN_END
     floats[PERIOD] += 0.25 * gain * gain * error
     return float(gain * error)
-
-
-@numba.njit(nogil=True)
-def _look(state: PacketState) -> None:
-    """Decide the packet that ends at the closing slot, if one seems to; where none is read for long, learn anew."""
-    ints = state.ints
-    n = len(state.sent)
-    last = ints[SLOT]
-    _look_at(last - n, state)
-    if ints[SEARCHED] == FIRST_TRAINING or (ints[SEARCHED] > 0 and 2 * ints[SEARCHED] % n < 2):
-        known = min(ints[SEARCHED], n, last + 1)
-        train(state, last + 1 - known, known)
-        # Packets that ended since may be read now; the ring holds no older ones.
-        oldest = max(last + 1 - state.ring.shape[0], last + 1 - ints[SEARCHED], 0)
-        relook(state, oldest, last + 1 - oldest)
-        for first in range(oldest, last - n + 1):
-            if ints[OUT] < OUT_ROOM - 1:
-                _look_at(first, state)
 
 
 @numba.njit(nogil=True)
@@ -150,7 +133,7 @@ def _look_at(first: int, state: PacketState) -> None:
     ints[OUT] += 1
     if good:
         ints[NEXT] = first + n
-        ints[SEARCHED] = ints[SLOT] - ints[NEXT]
+        ints[SEARCHED] = 0
         _learn(state, first)
 
 
@@ -158,10 +141,11 @@ def _look_at(first: int, state: PacketState) -> None:
 def _learn(state: PacketState, first: int) -> None:
     """Learn the response from all slots of the packet that was read."""
     size = state.ring.shape[0]
-    for i in range(1, len(state.sent)):
-        x = 2 * state.sent[i - 1] + state.sent[i]
-        response.learn(x, state.counts[(first + i) % size], state.model, state.seen)
-    response.tabulate(state.model, state.logs, state.total, state.core, state.share, state.figures)
+    sent = state.sent
+    for i in range(2, len(sent)):
+        x = 4 * sent[i - 2] + 2 * sent[i - 1] + sent[i]
+        packet_response.learn(x, state.counts[(first + i) % size], state.model, state.seen)
+    packet_response.tabulate(state.model, state.logs, state.total, state.figures)
 
 
 def _entry(sources: int) -> Callable[[Floats, Flags, float, PacketState], tuple[int, int]]:
@@ -197,9 +181,9 @@ _KERNEL: Final = _entry(
         convolutional,
         demodulator,
         likelihood,
+        packet_response,
         packet_soft,
         packet_state,
-        packet_training,
         response,
         shared,
         viterbi,

@@ -22,6 +22,7 @@ from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Text, Ver
 from heliograph.link.packet_clock import ClockSearch
 from heliograph.link.packet_layout import Layout, Packet, layout_of
 from heliograph.link.packet_messages import Message, Reassembler, packets_of
+from heliograph.link.packet_response import BACKGROUND, BURST
 from heliograph.units import US_PER_S, bit_us
 
 # A valid track may be silent, or unreadable, for 2 s or five packets; a new one must have said something within six
@@ -114,7 +115,7 @@ class PacketReceiver:
             return LinkQuality(US_PER_S / self._bit_us, None, None, None, None, mar)
         period = float(self._state.floats[shared.PERIOD])
         jitter_us = float(np.sqrt(self._state.floats[shared.JITTER2])) * self._bit_us
-        burst, background = float(self._state.figures[0]), float(self._state.figures[1])
+        burst, background = float(self._state.figures[BURST]), float(self._state.figures[BACKGROUND])
         # Energy of a transition over the background in a slot, half an event of which is never excluded.
         snr_db = 10.0 * float(np.log10(max(burst, 1e-3) / max(background, 0.5)))
         return LinkQuality(

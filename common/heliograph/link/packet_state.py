@@ -1,7 +1,7 @@
 """The state of one track's packet demodulator: arrays in one tuple, shared by the compiled stages.
 
 As in `heliograph.link.state`, whose places in `floats`, `ints` and `facts` hold here too, for the stages that both
-share (`response`, `demodulator.steer`); slot m lives at m mod the ring's length, which holds two packets.
+share; slot m lives at m mod the ring's length, which holds two packets.
 """
 
 from __future__ import annotations
@@ -11,11 +11,12 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from heliograph.link import response
+from heliograph.link import packet_response, response
 from heliograph.link import state as shared
 from heliograph.link.clock import SUB, Floats
 from heliograph.link.convolutional import TAIL
 from heliograph.link.packet_layout import Ints, Layout
+from heliograph.link.packet_response import FIGURES, ROWS
 from heliograph.link.viterbi import SIGNS, Octets
 
 # Further places in `ints`.
@@ -37,10 +38,10 @@ class PacketState(NamedTuple):
     Args:
         floats: (shared.FLOATS,).
         ints: (INTS,).
-        ring: (slots, 4) tempered likelihoods.
+        ring: (slots, 8) tempered likelihoods.
         facts: (slots, shared.FACTS), of which the boundary and the probability of a transition are set.
         counts: (slots, 2, SUB) events, by polarity (OFF, ON) and sub-bin.
-        model, seen, logs, total, core, share, figures: as in `heliograph.link.state`.
+        model, seen, logs, total, figures: (8, ...) as in `heliograph.link.packet_response`.
         sync, mother, flip, signs: the packet (`heliograph.link.packet_soft.decide`).
         data, sent, whole: what was decided last: bits before the code, bits on the air, bytes.
         out: (OUT_ROOM, OUT_FIELDS) records.
@@ -56,8 +57,6 @@ class PacketState(NamedTuple):
     seen: Ints
     logs: Floats
     total: Floats
-    core: npt.NDArray[np.bool_]
-    share: Floats
     figures: Floats
     sync: Octets
     mother: Ints
@@ -77,16 +76,14 @@ def new_state(layout: Layout) -> PacketState:
     return PacketState(
         floats=np.zeros(shared.FLOATS),
         ints=np.zeros(INTS, np.int64),
-        ring=np.ones((slots, 4)),
+        ring=np.ones((slots, ROWS)),
         facts=np.zeros((slots, shared.FACTS)),
         counts=np.zeros((slots, 2, SUB), np.int32),
-        model=np.zeros((4, 2, SUB)),
-        seen=np.zeros(4, np.int64),
-        logs=np.zeros((4, 2, SUB)),
-        total=np.zeros(4),
-        core=np.zeros((2, SUB), np.bool_),
-        share=np.zeros((2, SUB)),
-        figures=np.zeros(response.FIGURES),
+        model=np.zeros((ROWS, 2, SUB)),
+        seen=np.zeros(ROWS, np.int64),
+        logs=np.zeros((ROWS, 2, SUB)),
+        total=np.zeros(ROWS),
+        figures=np.zeros(FIGURES),
         sync=tables.sync,
         mother=tables.mother,
         flip=tables.flip,
@@ -115,5 +112,8 @@ def start(state: PacketState, folded: Floats | None, found: Floats) -> None:
     state.facts[:] = 0.0
     state.counts[:] = 0
     if folded is not None:
-        response.start(folded, found[3], state.model, state.seen)
-    response.tabulate(state.model, state.logs, state.total, state.core, state.share, state.figures)
+        pairs, seen = np.zeros((4, 2, SUB)), np.zeros(4, np.int64)
+        response.start(folded, found[3], pairs, seen)
+        packet_response.from_pairs(pairs, state.model)
+    state.seen[:] = 0
+    packet_response.tabulate(state.model, state.logs, state.total, state.figures)

@@ -9,7 +9,8 @@ the beginning of sub-bin k::
 
 Where |e| is the largest within half a bit either way, g is above CHANGE, and what follows is mostly of e's sign (a
 burst that ends changes D too), the light turned. Such edges are given to the clock like events. Between them its level
-is known, if only nearly; so the response (`heliograph.link.response`) starts with the mean counts of each pair of bits.
+is known, if only nearly; so the response (`heliograph.link.packet_response`) starts with the mean counts of each three
+bits.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ HALF_BIT: Final = SUB // 2
 CHANGE: Final = 12.0
 # Of the events behind an edge so many are of its sign: the tail of the burst before may still be among them.
 MOSTLY: Final = 0.7
-# Slots that the guess (the mean of all slots that end in the same level) weighs against those seen of a pair of bits.
+# Slots that the guess (the mean of all slots of the same pair of bits) weighs against those seen of the three.
 GUESS_SLOTS: Final = 2.0
 
 
@@ -91,8 +92,8 @@ def start(
         found: (4,) of `heliograph.link.clock.grid`: the first boundary, the period.
         edge_t: (m,) times of the edges, rising, m > 0.
         edge_on: (m,) True for a rise.
-        rate: (4, 2, SUB) out.
-        seen: (4,) out: zero.
+        rate: (8, 2, SUB) out (`heliograph.link.packet_response`).
+        seen: (8,) out: zero.
     """
     seen[:] = 0
     # Slot s reaches from half a bit before boundary s to half a bit behind it.
@@ -105,25 +106,22 @@ def start(
         while at < len(edge_t) and edge_t[at] < middle:
             at += 1
         level[s] = first if at == 0 else (1 if edge_on[at - 1] else 0)
-    total = np.zeros((4, 2, SUB))
-    n = np.zeros(4)
-    for s in range(slots):
-        n[2 * level[s] + level[s + 1]] += 1.0
+    total = np.zeros((8, 2, SUB))
+    n = np.zeros(8)
+    for s in range(1, slots):
+        n[4 * level[s - 1] + 2 * level[s] + level[s + 1]] += 1.0
     for i in range(len(t)):
         place = (t[i] - found[0]) / found[1] + 0.5
         s = int(np.floor(place))
-        if 0 <= s < slots:
-            total[2 * level[s] + level[s + 1], 1 if on[i] else 0, min(int((place - s) * SUB), SUB - 1)] += 1.0
-    for x in range(4):
-        other = (x + 2) % 4  # the pair that ends in the same level
+        if 1 <= s < slots:
+            x = 4 * level[s - 1] + 2 * level[s] + level[s + 1]
+            total[x, 1 if on[i] else 0, min(int((place - s) * SUB), SUB - 1)] += 1.0
+    for x in range(8):
+        other = (x + 4) % 8  # the pair of bits is the same
         for p in range(2):
             for k in range(SUB):
-                guess = (total[x, p, k] + total[other, p, k]) / max(n[x] + n[other], 1.0)
-                rate[x, p, k] = (total[x, p, k] + GUESS_SLOTS * guess) / (n[x] + GUESS_SLOTS)
-    for x in range(4):
-        for p in range(2):
-            left = rate[x, p, 0]
-            for k in range(SUB):
-                here = rate[x, p, k]
-                rate[x, p, k] = 0.25 * left + 0.5 * here + 0.25 * rate[x, p, min(k + 1, SUB - 1)]
-                left = here
+                before, behind = max(k - 1, 0), min(k + 1, SUB - 1)
+                mine = 0.25 * total[x, p, before] + 0.5 * total[x, p, k] + 0.25 * total[x, p, behind]
+                theirs = 0.25 * total[other, p, before] + 0.5 * total[other, p, k] + 0.25 * total[other, p, behind]
+                guess = (mine + theirs) / max(n[x] + n[other], 1.0)
+                rate[x, p, k] = (mine + GUESS_SLOTS * guess) / (n[x] + GUESS_SLOTS)
