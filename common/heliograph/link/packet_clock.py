@@ -2,8 +2,8 @@
 
 Time is cut into blocks of 16 nominal bits on an absolute grid, and after each one the windows that end with it are
 looked at (`heliograph.link.clock`): 4 blocks, and 16 where 4 do not suffice; scrambled bits have an edge in every other
-bit, so a light as sharp as a packet needs is known after 32 to 64 bits. Three signs are looked at: a lit LED's level
-while it moves (`heliograph.link.level`), changes of polarity (`heliograph.link.polarity`), and the events themselves;
+bit, so a light as sharp as a packet needs is known after 32 to 64 bits. Three signs are looked at: changes
+of polarity (`heliograph.link.polarity`), a lit LED's level while it moves (`heliograph.link.level`), and the events;
 the first that shows a clock gives it. The window's events are handed on, so the lock costs nothing of a packet that
 began within it.
 """
@@ -22,9 +22,12 @@ from heliograph.link import clock, level, packet_response, polarity
 WINDOW_LEAST_BITS: Final = 32
 # Events held: 256 bits at 1 kbit/s hold 4 Mev/s in one region, a flicker of the whole image.
 WINDOW_EVENTS: Final = 1_000_000
+# Bits before the first edge of a window at which the grid begins: a packet may begin as the light before it ended, and
+# its first edges may be lost. No run is as long.
+LEAD_BITS: Final = 24
 # What is looked at, in this order.
-LEVEL: Final = 0
-TURNS: Final = 1
+TURNS: Final = 0
+LEVEL: Final = 1
 EVENTS: Final = 2
 
 
@@ -63,7 +66,7 @@ class ClockSearch:
         self._since_us: int | None = None  # the first event, the end of a dark time, or where the last lock was lost
         self._block = 0  # number of the next block
         self._dark = 0  # blocks before it without events
-        # Of the edges of the level, of the changes of polarity, and of the events themselves.
+        # Of the changes of polarity, of the edges of the level, and of the events themselves.
         self._sums = np.zeros((3, clock.LONG_BLOCKS, 4 * clock.BLOCK_OFFSETS + 1))
         self._edge_t = np.zeros((2, clock.LONG_BLOCKS, 4 * clock.BLOCK_BITS))
         self._edge_on = np.zeros((2, clock.LONG_BLOCKS, 4 * clock.BLOCK_BITS), np.bool_)
@@ -172,7 +175,7 @@ class ClockSearch:
                 continue
             if sign == EVENTS:
                 clock.grid(t, on, f, until, found, folded)
-                return Clock(origin_us, found, folded, self._t[start:], self._on[start:])
+                return self._clock(origin_us, found, folded, start)
             edge_t, edge_on = self._edges(sign, (begin_us - origin_us) / self._bit_us, blocks)
             clock.grid(edge_t, edge_on, f, until, found, folded)
             if sign == LEVEL:
@@ -183,8 +186,13 @@ class ClockSearch:
                 packet_response.from_pairs(pairs, self._model)
             else:
                 polarity.start(t, on, until, found, edge_t, edge_on, self._model, self._seen)
-            return Clock(origin_us, found, None, self._t[start:], self._on[start:])
+            return self._clock(origin_us, found, None, start)
         return None
+
+    def _clock(self, origin_us: int, found: clock.Floats, folded: clock.Floats | None, start: int) -> Clock:
+        """Return a clock with the held events from `start` on; its grid begins before the first of them."""
+        found[0] -= min(found[0] // found[1], LEAD_BITS) * found[1]
+        return Clock(origin_us, found, folded, self._t[start:], self._on[start:])
 
     def _edges(self, sign: int, first: float, blocks: int) -> tuple[clock.Floats, Flags]:
         """Return the edges of a sign in the newest blocks, which begin `first` bits from the origin."""
