@@ -31,8 +31,8 @@ PACKETS = st.builds(
 
 def packet_of(vector: dict[str, Any]) -> Packet:
     data = bytes.fromhex(vector["data"])
-    fields = (vector[name] for name in ("address", "text", "number", "fragment", "more"))
-    return Packet(*fields, data)
+    address, text, number, fragment, more = (vector[name] for name in ("address", "text", "number", "fragment", "more"))
+    return Packet(address, text, number, fragment, more, data)
 
 
 def whole_of(vector: dict[str, Any]) -> bytes:

@@ -17,7 +17,7 @@ from heliograph.link.modulations import modulation
 from heliograph.link.modulations.packet import Packet
 from heliograph.link.packet_receiver import PacketReceiver
 from support.lights import Light, Seen, repeated, seen
-from support.text_light import hear
+from support.text_light import Watched, hear
 
 RATE = 5000.0
 NOTHING = np.empty(0, np.int64), np.empty(0, np.bool_)
@@ -163,6 +163,7 @@ def test_other_protocols_noise_and_random_bits_say_nothing() -> None:
         receiver = receiver_of()
         assert hear(receiver, _watched(seen(Light(), bits, RATE, seed=i))) == []
         assert receiver.identity() is None
+        assert receiver.refusals[Refusal.NO_START_CODE] + receiver.refusals[Refusal.NO_CLOCK] > 0
     receiver = receiver_of()
     assert hear(receiver, _watched(seen(Light(events=0.0, noise_hz=30_000.0), [0] * 10_000, RATE, seed=12))) == []
 
@@ -208,10 +209,10 @@ def test_a_receiver_of_no_such_name_or_rate_is_refused() -> None:
         Packet().receiver(0.1)
 
 
-def _watched(what: Seen) -> Seen:
+def _watched(what: Seen) -> Watched:
     # Tails may go on behind the last bit.
     last_us = int(what.t_us[-1]) + 1 if len(what.t_us) else 0
-    return Seen(what.t_us, what.on, max(what.until_us, last_us), what.bit_us)
+    return Watched(what.t_us, what.on, max(what.until_us, last_us))
 
 
 def _turned(what: Seen, bits: Sequence[int]) -> Seen:

@@ -92,7 +92,7 @@ def test_a_good_file_is_read(tmp_path: Path) -> None:
          "beacon[0].name must be a text of at least 1 and at most 64 letters like ^[A-Za-z0-9_][A-Za-z0-9_.:-]*$, not"),
         ("payload = 42", "", "beacon[0]: beacon a must have one of payload, text, fresh, edges"),
         ("payload = 42", 'payload = 42\ntext = "x"',
-         "beacon[0]: beacon a must have one of payload, text, fresh, edges"),
+         "beacon[0] (a): a beacon of seed11 must have one of payload, text"),
         ("payload = 42", 'payload = 42\ncarried_by = "x"', "beacon[0]: a must have either path or carried_by"),
     ],
 )  # fmt: skip

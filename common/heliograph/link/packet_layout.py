@@ -110,7 +110,7 @@ class Layout:
     """
 
     def __init__(self, block: int = BLOCK_DEFAULT, rate: str = RATE) -> None:
-        if not isinstance(block, int) or isinstance(block, bool) or not BLOCK_LEAST <= block <= BLOCK_MOST:
+        if type(block) is not int or not BLOCK_LEAST <= block <= BLOCK_MOST:
             raise ValueError(f"block must be in [{BLOCK_LEAST}, {BLOCK_MOST}] bytes, not {block!r}")
         self.block = block
         self.steps = 8 * (HEADER_BYTES + block + CRC_BYTES) + TAIL

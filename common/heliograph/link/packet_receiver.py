@@ -15,9 +15,10 @@ import numpy as np
 
 from heliograph.errors import Refusal, Refusals
 from heliograph.events import Flags, Times
-from heliograph.link import packet_demodulator, packet_state
+from heliograph.link import demodulator, level, packet_demodulator, packet_state
 from heliograph.link import state as shared
 from heliograph.link.acceptance import CONFIDENCE_TOP
+from heliograph.link.clock import SUB
 from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Text, Verdict, edges_of
 from heliograph.link.packet_clock import ClockSearch
 from heliograph.link.packet_layout import Layout, Packet, layout_of
@@ -146,10 +147,12 @@ class PacketReceiver:
             outcome, taken = packet_demodulator.advance(t[done:], on[done:], until, self._state)
             done += taken
             self._settle(origin_us, out)
-            if outcome == packet_demodulator.DONE:
+            if outcome == demodulator.DONE:
                 break
-            if outcome == packet_demodulator.LOST:
+            if outcome == demodulator.LOST:
                 # From here on the search begins anew, with what the lost lock has not taken.
+                if self._state.ints[shared.SEARCHED] > packet_demodulator.SEARCH_PACKETS * self._layout.bits:
+                    self.refusals[Refusal.NO_START_CODE] += 1
                 floats = self._state.floats
                 lost = floats[shared.BOUNDARY] - 0.5 * floats[shared.PERIOD]
                 self._search.restart(origin_us + int(np.ceil(lost * self._bit_us)))
@@ -196,14 +199,16 @@ def said(message: Message, t_us: int) -> Text:
 
 
 def warm() -> None:
-    """Compile, or load from the cache, all kernels of the receiver: a packet, read at the end of the light too."""
+    """Compile, or load from the cache, all kernels of the receiver: packets of a bright light and of a faint one."""
     layout = layout_of()
-    bits: list[int] = []
-    for number in range(2):
-        for packet in packets_of("the kernels are compiled, or loaded", 1, number, layout.block):
-            bits += layout.encode(packet)
+    bits = [
+        bit for packet in packets_of("the kernels are compiled", 1, 0, layout.block) for bit in layout.encode(packet)
+    ]
     at_us, levels = edges_of([*bits, *(0,) * 300], 0.0, 1000.0)
-    t_us = np.repeat(at_us, 8).astype(np.int64)
-    receiver = PacketReceiver(layout, 1000.0)
-    receiver.feed(t_us, np.repeat(levels, 8), len(bits) * 1000 + 300_000)
-    receiver.flush()
+    for events in (20, 6):
+        receiver = PacketReceiver(layout, 1000.0)
+        receiver.feed(np.repeat(at_us, events).astype(np.int64), np.repeat(levels, events), len(bits) * 1000 + 300_000)
+        receiver.flush()
+    # What only a light that moves would ask for.
+    nothing = np.zeros(1), np.zeros(1, np.bool_)
+    level.start(*nothing, 0.0, np.ones(4), np.zeros((4, 2, SUB)), np.zeros(4, np.int64))

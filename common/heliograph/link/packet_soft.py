@@ -86,6 +86,7 @@ def evidence(ring: Floats, first: int, word: Octets) -> float:
     anything, after = np.full(4, 0.25), np.empty(4)
     before = np.full(4, 0.25)
     as_sent, scale = 0.0, 0.0
+    known0, known1 = 0.0, 0.0
     for i in range(len(word)):
         slot = ring[(first + i) % size]
         for bc in range(4):
