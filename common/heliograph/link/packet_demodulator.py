@@ -8,10 +8,9 @@ slot means little). The shift that they ask for is, to first order, that of the 
 
 The loop is that of `heliograph.link.clock`.
 
-Each closing slot may be the end of a
-packet: a position whose sync shows SYNC_LEAST nats is decided (`heliograph.link.packet_soft`), and so is the one right
-behind a packet that was read, for there the next one is due. A packet whose CRC and evidence hold is put out, and the
-response learns from all its bits.
+Each closing slot may be the end of a packet: a position whose sync shows SYNC_LEAST nats is decided
+(`heliograph.link.packet_soft`), and so is the one right behind a packet that was read, for there the next one is due. A
+packet whose CRC and evidence hold is put out, and the response learns from all its bits.
 
 Chance that random bits at the right clock make a packet, a bit position: exp(-SYNC_LEAST) 2^-32 = 4e-12, and where one
 is due 2^-32 once in a packet, 8e-13 a position: each packet alone is an identification (below 1e-10).
@@ -85,7 +84,7 @@ def _close(state: PacketState) -> bool:
 
 @numba.njit(nogil=True)
 def _steer(state: PacketState, at: int) -> float:
-    """Steer the period by the slot's transition; return by how much the next boundary moves besides ."""
+    """Steer the period by the slot's transition; return by how much the next boundary moves besides."""
     floats, ints, x = state.floats, state.ints, state.ring[at]
     rise, fall = x[1] + x[5], x[2] + x[6]
     whole = x.sum()

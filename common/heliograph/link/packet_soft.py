@@ -37,15 +37,14 @@ from heliograph.link.likelihood import LEVEL, SPURIOUS
 from heliograph.link.packet_layout import Ints
 from heliograph.link.viterbi import Octets, encode_into, viterbi
 
-# One transition in twenty is lost: what the link is made for. With a hundredth the same packets are read on a light
-# that loses none, and fewer on one that does (bench/study_packet.py).
+# One transition in twenty is lost: what the link is made for.
 MISSED: Final = 0.05
 # exp(-10), as for words: two slots of contrary evidence are never outweighed by one more.
 FLOOR: Final = 4.5e-5
 # Soft bits beyond it are all the same to the decision; one that is wrong must be outvoted by the others.
 SOFT_LIMIT: Final = 10.0
-# A packet whose bits suit its events less than this many nats better than arbitrary ones was made by chance: 2^-32 is
-# worth 22. Packets that are read with every second transition lost have more than 60.
+# A packet whose bits suit its events less than this many nats better than arbitrary ones may be made by chance: 2^-32
+# is worth 22. Packets that are read show some 200, and 190 where a tenth of the transitions is lost.
 EVIDENCE_LEAST: Final = 22.0
 
 

@@ -1,7 +1,7 @@
 """The state of one track's packet demodulator: arrays in one tuple, shared by the compiled stages.
 
 As in `heliograph.link.state`, whose places in `floats`, `ints` and `facts` hold here too, for the stages that both
-share; slot m lives at m mod the ring's length, which holds two packets.
+share; slot m lives at m mod the ring's length, which holds a packet.
 """
 
 from __future__ import annotations
@@ -22,6 +22,9 @@ from heliograph.link.viterbi import SIGNS, Octets
 # Further places in `ints`.
 NEXT: Final = shared.INTS  # the slot before the packet that may follow the last one; -1 where none was read
 INTS: Final = NEXT + 1
+
+# A packet of n bits has n + 1 slots, and one more is open.
+SLOTS_MORE: Final = 2
 
 # Columns of a record in `out`.
 OUT_END: Final = 0  # end of the packet
@@ -70,8 +73,8 @@ class PacketState(NamedTuple):
 
 
 def new_state(layout: Layout) -> PacketState:
-    """Return the state of a track that has no clock yet (120 kB with 16 bytes of data)."""
-    slots, n_bytes = 2 * layout.bits, (layout.steps - TAIL) // 8
+    """Return the state of a track that has no clock yet (70 kB with 16 bytes of data)."""
+    slots, n_bytes = layout.bits + SLOTS_MORE, (layout.steps - TAIL) // 8
     tables = layout.tables()
     return PacketState(
         floats=np.zeros(shared.FLOATS),
