@@ -79,7 +79,7 @@ def problems(site: Site) -> list[str]:
         attempt(encodes)
     for protocol in dict.fromkeys(beacon.protocol for beacon in site.beacon):
         attempt(_together, site, protocol)
-    return found
+    return list(dict.fromkeys(found))
 
 
 def _together(site: Site, protocol: str) -> None:
