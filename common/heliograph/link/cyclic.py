@@ -66,7 +66,7 @@ class CyclicReceiver:
         self._part = 0  # parts of it that have been looked at
         self._dark = 0  # blocks before it without events
         # Of events, and of the edges of the level that they show.
-        self._sums = np.zeros((2, clock.LONG_BLOCKS, 4 * clock.BLOCK_OFFSETS + 1))
+        self._sums = np.zeros((2, clock.LONG_BLOCKS, clock.SUMS))
         self._level_t = np.zeros((clock.LONG_BLOCKS, 4 * clock.BLOCK_BITS))
         self._level_on = np.zeros((clock.LONG_BLOCKS, 4 * clock.BLOCK_BITS), np.bool_)
         self._level_n = [0] * clock.LONG_BLOCKS

@@ -235,7 +235,7 @@ class OokBits:
 
 def _clock(t: Floats, on: Flags) -> tuple[float, float]:
     """Return bits a nominal bit and z of the periodogram over a window."""
-    sums = np.zeros((WINDOW_BLOCKS, 4 * clock.BLOCK_OFFSETS + 1))
+    sums = np.zeros((WINDOW_BLOCKS, clock.SUMS))
     cuts = np.searchsorted(t, np.arange(WINDOW_BLOCKS + 1) * float(clock.BLOCK_BITS))
     for b in range(WINDOW_BLOCKS):
         own = slice(cuts[b], cuts[b + 1])

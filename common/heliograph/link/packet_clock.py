@@ -67,7 +67,7 @@ class ClockSearch:
         self._block = 0  # number of the next block
         self._dark = 0  # blocks before it without events
         # Of the changes of polarity, of the edges of the level, and of the events themselves.
-        self._sums = np.zeros((3, clock.LONG_BLOCKS, 4 * clock.BLOCK_OFFSETS + 1))
+        self._sums = np.zeros((3, clock.LONG_BLOCKS, clock.SUMS))
         self._edge_t = np.zeros((2, clock.LONG_BLOCKS, 4 * clock.BLOCK_BITS))
         self._edge_on = np.zeros((2, clock.LONG_BLOCKS, 4 * clock.BLOCK_BITS), np.bool_)
         self._edge_n = np.zeros((2, clock.LONG_BLOCKS), np.int64)

@@ -1,9 +1,10 @@
 """A clock that is likely, not certain, is believed if the code repeats under it.
 
-A word with two edges of a polarity shows z = 5.5 in the 44 bits that four frames of it take
-(`heliograph.link.clock`), and the threshold of the edges alone only after 70. But the frames speak too: a trial
-demodulates what is held on the likely grid, and the clock is believed if the last frames read one payload, one frame
-apart, one frame less than an identity takes. In random bits that happens, at a bit position, with W words in 2^n::
+A word with two edges of a polarity shows z = 5.5 in the 44 bits that four frames of it take where one polarity
+trails over the bits (`heliograph.link.clock`), and the threshold of the edges alone only after 70. But the frames
+speak too: a trial demodulates what is held on the likely grid, and the clock is believed if the last frames read one
+payload, one frame apart, one frame less than an identity takes. In random bits that happens, at a bit position, with W
+words in 2^n::
 
     W / 2^n * 2^-n (k - 2)            seed11, k 4: 48/2048 * 2048^-2 = 5.6e-9; code20d4, k 3: 2e-7 (one error corrected)
 
