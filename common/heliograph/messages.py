@@ -34,7 +34,7 @@ Payload = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 # "seed11/42": the longest protocol's name, a stroke and nineteen digits fit.
 Token = Annotated[str, Meta(min_length=1, max_length=80)]
 StatusWord = Literal["new", "valid", "invalid"]
-Change = Literal["accepted", "changed", "refreshed", "lost"]
+Change = Literal["accepted", "changed", "duplicate", "refreshed", "lost"]
 Bearing = tuple[Finite, Finite, Finite]
 
 _REFUSAL_NAMES: Final = frozenset(reason.value for reason in Refusal)
@@ -185,9 +185,12 @@ class Identification(Message, frozen=True, kw_only=True):
     `beacon` is the name from the site file; a beacon that the site does not list is called PROTOCOL:PAYLOAD.
     `payload` is None where identity is not in the bits (text). `bearing` is a unit vector in the camera's frame.
     `margin` is the log-likelihood distance to the runner-up, `frames_used` the frames it rests on.
+    `duplicates` names the tracks that hold the same identity elsewhere on the sensor at this time: two beacons with one
+    ID, or a mirror. With the first message that names another one, `change` is "duplicate".
     """
 
     SCHEMA: ClassVar[str] = "ids"
+    VERSION: ClassVar[tuple[int, int]] = (1, 1)
     camera: Name
     track: Name
     t_us: TimeUs
@@ -205,6 +208,7 @@ class Identification(Message, frozen=True, kw_only=True):
     frames_used: Count
     change: Change
     lost: bool
+    duplicates: list[Name] = []
 
     @property
     def time_us(self) -> int:

@@ -11,7 +11,8 @@ from heliograph.link.contract import Text
 from heliograph.site import Beacon
 from heliograph_services.cli.studies.asynchronous import AsyncPixels, events
 from heliograph_services.decoder.config import DecoderConfig
-from heliograph_services.decoder.links import LinkPlan, TrackLinks
+from heliograph_services.decoder.link_plan import LinkPlan
+from heliograph_services.decoder.links import TrackLinks
 from heliograph_services.event_source.simulation.lights import drive_of
 from heliograph_services.event_source.simulation.world.checks import check_tables
 from heliograph_services.event_source.simulation.world.spec import BeaconSpec, Scenario, Still

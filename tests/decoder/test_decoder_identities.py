@@ -82,13 +82,6 @@ def test_of_two_tracks_on_one_light_one_alone_holds_its_identity() -> None:
     assert all(sum(token is not None for token in one.identity) == 1 for one in statuses)
 
 
-def test_two_beacons_of_one_payload_are_both_held() -> None:
-    discs = [Disc(5, still(60, 60)), Disc(5, still(200, 160))]
-    batch = scene(discs, 0, 1_000_000, WIDTH, HEIGHT)
-    told = [(t + 20_000, tracks(t, [("a-0", discs[0], 0), ("a-1", discs[1], 0)])) for t in range(0, 1_000_000, 100_000)]
-    assert sorted(changes(run(core(), batch, told, 1_000_000))) == [("a-0", "accepted"), ("a-1", "accepted")]
-
-
 def test_a_name_that_reads_no_more_yields_to_the_one_that_reads_its_payload_elsewhere() -> None:
     path = still(60, 60)
     first = Disc(5, path, lit_us=(0, 500_000))

@@ -12,7 +12,8 @@ from heliograph.messages import Data, Frames, Identification, Link, Status
 from heliograph.site import Beacon
 from heliograph_services.decoder.config import DecoderConfig
 from heliograph_services.decoder.core import DecoderCore
-from heliograph_services.decoder.links import LinkPlan, TrackLinks
+from heliograph_services.decoder.link_plan import LinkPlan
+from heliograph_services.decoder.links import TrackLinks
 from support.blinkers import FRAME_US, Disc, PulseReceiver, messages, pulse_only, scene, still, tracks
 from support.decoding import CRANE, HEIGHT, LIVE, WIDTH, core, run, states
 

@@ -13,7 +13,8 @@ from heliograph.link.bitrate import likely_bit_rates
 from heliograph.link.contract import Text
 from heliograph.link.modulations import modulation
 from heliograph_services.decoder.config import DecoderConfig
-from heliograph_services.decoder.links import LinkPlan, TrackLinks
+from heliograph_services.decoder.link_plan import LinkPlan
+from heliograph_services.decoder.links import TrackLinks
 from heliograph_services.decoder.measuring import FIRST_US, LIMIT_US, Measure, Measuring
 from support.lights import Light, repeated, seen
 from support.text_light import edits

@@ -21,7 +21,7 @@ from heliograph.units import bit_us
 from heliograph_services.cli.studies.asynchronous import AsyncPixels, events
 from heliograph_services.cli.studies.strangers import nobody, others, sent, square
 from heliograph_services.decoder.config import DecoderConfig
-from heliograph_services.decoder.links import LinkPlan
+from heliograph_services.decoder.link_plan import LinkPlan
 from support.async_lights import Read, read
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "frequency.json").read_text())

@@ -167,6 +167,7 @@ class Tally:
         self._frames = 0
         self._refused: Counter[str] = Counter()
         self._identified: dict[str, set[str]] = {}
+        self._duplicates: dict[str, set[str]] = {}
         self._characters = 0
 
     def steps(self, messages: list[Message]) -> None:
@@ -186,6 +187,8 @@ class Tally:
             self._refused.update(message.refused)
         elif isinstance(message, Identification) and message.change in {"accepted", "changed"}:
             self._identified.setdefault(message.beacon, set()).add(message.track)
+        elif isinstance(message, Identification) and message.change == "duplicate":
+            self._duplicates.setdefault(message.beacon, set()).update([message.track, *message.duplicates])
 
     def summary(self, parts: list[Any], wall_s: float) -> dict[str, Any]:
         """Return the last line.
@@ -207,6 +210,7 @@ class Tally:
             "refused_targets": by_name(tracker.refusals),
             "refused_by_decoder": by_name(decoder.refusals),
             "identifications": {name: sorted(tracks) for name, tracks in sorted(self._identified.items())},
+            "duplicates": {name: sorted(tracks) for name, tracks in sorted(self._duplicates.items())},
             "wall_s": round(wall_s, 3),
         }
 
@@ -217,5 +221,6 @@ def _for_people(summary: dict[str, Any]) -> str:
     beacons = ", ".join(summary["identifications"]) or "none"
     read = f"{summary['events']} events in {seconds:.3f} s, read in {summary['wall_s']} s"
     counts = f"{summary['tracks']} tracks; {summary['frames']} frames"
-    paragraphs = (f"{read}; {counts}", f"refused: {refused}", f"identified: {beacons}")
+    paragraphs = [f"{read}; {counts}", f"refused: {refused}", f"identified: {beacons}"]
+    paragraphs += [f"{name} is sent at {len(at)} places" for name, at in summary["duplicates"].items()]
     return "\n".join(textwrap.fill(text, _COLUMNS, subsequent_indent="  ") for text in paragraphs)

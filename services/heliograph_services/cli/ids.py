@@ -173,7 +173,7 @@ class _Table:
         for state, seen in sorted(self._rows.values(), key=lambda row: (row[0].beacon, row[0].track)):
             age_s = time.monotonic() - seen
             table.add_row(
-                state.beacon,
+                f"{state.beacon} (not alone)" if state.duplicates else state.beacon,
                 state.camera,
                 f"{state.x_px:.1f}",
                 f"{state.y_px:.1f}",

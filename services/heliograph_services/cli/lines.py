@@ -29,6 +29,7 @@ def identification_line(message: Identification) -> dict[str, Any]:
         "frames_used": message.frames_used,
         "change": message.change,
         "lost": message.lost,
+        "duplicates": message.duplicates,
     }
 
 
@@ -88,13 +89,19 @@ def dump(line: dict[str, Any]) -> str:
     return json.dumps(line, ensure_ascii=False, separators=(", ", ": "))
 
 
+def _notes(line: dict[str, Any]) -> str:
+    """Return the confidence; instead of it, where another light sends the same ID, that light's track."""
+    others = line["duplicates"]
+    return f"also {others[0]}" if line["change"] == "duplicate" and others else f"{line['confidence']:.2f}"
+
+
 def for_people(line: dict[str, Any]) -> str:
     """Return a line as a person reads it, for a terminal of 80 columns."""
     t_s = line["t_us"] / 1e6
     if line["type"] == "identification":
         return (
             f"{t_s:11.3f} s  {line['beacon']:<20.20} {line['change']:<9} at ({line['x_px']:7.1f}, {line['y_px']:6.1f})"
-            f"  {line['confidence']:.2f}"
+            f"  {_notes(line)}"
         )
     if line["type"] == "message":
         text = line.get("text")

@@ -25,7 +25,8 @@ from heliograph.streams import Events
 from heliograph_services.decoder.config import AUTO, DecoderConfig
 from heliograph_services.decoder.following import Following
 from heliograph_services.decoder.identities import Identities
-from heliograph_services.decoder.links import Decided, LinkPlan, ModulationOf
+from heliograph_services.decoder.link_plan import LinkPlan, ModulationOf
+from heliograph_services.decoder.links import Decided
 from heliograph_services.decoder.measuring import Measure
 from heliograph_services.decoder.publish import BearingOf, FrameRow, Publisher, StatusRow
 from heliograph_services.decoder.schedule import Schedule
@@ -185,6 +186,7 @@ class DecoderCore:
         self.counters["identifications"] = self._identities.accepted
         self.counters["identities_withheld"] = self._identities.withheld
         self.counters["refreshments_withheld"] = self._identities.unsure
+        self.counters["duplicates"] = self._identities.duplicates.found
         self.counters["events_routed"] += len(routed.t_us)
 
         now_us = window.t1_us - 1 if window.last else window.t1_us
@@ -295,8 +297,9 @@ class DecoderCore:
 
 
 _COUNTERS: Final = (
-    "events", "events_routed", "frames", "identifications", "identities_withheld", "repaintings", "streams",
-    "refreshments_withheld", "tracks_adopted", "tracks_begun", "tracks_dropped", "tracks_relocated", "windows",
+    "duplicates", "events", "events_routed", "frames", "identifications", "identities_withheld", "repaintings",
+    "refreshments_withheld", "streams",
+    "tracks_adopted", "tracks_begun", "tracks_dropped", "tracks_relocated", "windows",
 )  # fmt: skip
 
 

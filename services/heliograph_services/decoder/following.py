@@ -11,7 +11,8 @@ from heliograph.messages import Tracks
 from heliograph_services.decoder.backlog import Backlog
 from heliograph_services.decoder.config import DecoderConfig
 from heliograph_services.decoder.history import History
-from heliograph_services.decoder.links import CONTEST_US, Decided, LinkPlan, TrackLinks
+from heliograph_services.decoder.link_plan import LinkPlan
+from heliograph_services.decoder.links import CONTEST_US, Decided, TrackLinks
 from heliograph_services.decoder.regions import Doubt, Place, Regions, column, doubt
 from heliograph_services.decoder.tracks import Plan, Told, Track, plan_of, told_by
 

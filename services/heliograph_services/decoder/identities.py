@@ -10,7 +10,8 @@ besides where the beacon is, and that there is one. So an identity is *withheld*
 - on the spot of another one that reads the same: one light is one beacon. What is held already, then the larger margin,
   keeps it.
 
-Two that both read one payload at two places are two beacons of one payload, and both keep it. Texts have no payload:
+Two that both read one payload at two places are two beacons of one payload: both keep it, and each is told with the
+name of the other (heliograph_services.decoder.duplicates). Texts have no payload:
 only the first rule is theirs. An identity that is withheld is published as lost, once; with the next frame that
 supports it, it is accepted again, unless a reason still stands.
 
@@ -28,8 +29,10 @@ import numpy as np
 
 from heliograph.link.contract import Text
 from heliograph.messages import Change, Identification, Message
+from heliograph_services.decoder.duplicates import Duplicates
 from heliograph_services.decoder.following import BLIND_US, Applied, Following
-from heliograph_services.decoder.links import Accepted, LinkPlan
+from heliograph_services.decoder.link_plan import LinkPlan
+from heliograph_services.decoder.links import Accepted
 from heliograph_services.decoder.publish import Publisher
 from heliograph_services.decoder.region_state import GROW_LIMIT_PX
 from heliograph_services.decoder.regions import Place
@@ -56,6 +59,7 @@ class Identities:
         self.accepted = 0  # identities accepted or changed, counted
         self.withheld = 0  # identities lost by the rules above, counted
         self.unsure = 0  # refreshments left out
+        self.duplicates = Duplicates(plan)
 
     def decide(self, following: Following, now_us: int) -> list[Message]:
         """Return what tracks have accepted, changed or lost up to now_us."""
@@ -143,14 +147,18 @@ class Identities:
     def refresh(self, following: Following, now_us: int) -> list[Message]:
         """Return the texts that have come, and the identities of all tracks that are where their beacons are."""
         out: list[Message] = []
-        for i, track in enumerate(following.tracks):
+        held = [i for i, track in enumerate(following.tracks) if track.held is not None]
+        sure = [i for i in held if not self._is_unsure(following, i, now_us)]
+        self.unsure += len(held) - len(sure)
+        duplicates = self.duplicates.look(following, sure)
+        for track in following.tracks:
             out += self.texts(track)
-            if track.held is None:
-                continue
-            if self._is_unsure(following, i, now_us):
-                self.unsure += 1
-            else:
-                out += self.state(track, following.at(i, now_us), now_us, "refreshed")
+        for i in sure:
+            track = following.tracks[i]
+            names = duplicates.get(track.serial, [])
+            known = track.state.duplicates if track.state is not None else []
+            change: Change = "refreshed" if set(names) <= set(known) else "duplicate"
+            out += self.state(track, following.at(i, now_us), now_us, change, names)
         return out
 
     def _is_unsure(self, following: Following, i: int, now_us: int) -> bool:
@@ -167,8 +175,10 @@ class Identities:
         hears = now_us - int(following.regions.centred_us()[i]) <= BLIND_US
         return hears or _off_px(following, i) > 0.0 or _is_lost(following, i)
 
-    def state(self, track: Track, at: Place, t_us: int, change: Change) -> list[Message]:
-        """Publish the identity that a track holds."""
+    def state(
+        self, track: Track, at: Place, t_us: int, change: Change, duplicates: list[str] | None = None
+    ) -> list[Message]:
+        """Publish the identity that a track holds, and the names of the other tracks that hold it elsewhere."""
         held = track.held
         if held is None:
             return []
@@ -180,6 +190,7 @@ class Identities:
             at,
             t_us,
             change,
+            duplicates or [],
         )
         return [track.state]
 

@@ -99,6 +99,7 @@ class Publisher:
         at: Place,
         t_us: int,
         change: Change,
+        duplicates: list[str],
     ) -> Identification:
         """Return the state of a track that is, or was until now, identified."""
         return Identification(
@@ -119,6 +120,7 @@ class Publisher:
             frames_used=identity.frames_used,
             change=change,
             lost=change == "lost",
+            duplicates=duplicates,
         )
 
     def again(
