@@ -31,7 +31,7 @@ from heliograph_services.decoder.measuring import Measure
 from heliograph_services.decoder.publish import BearingOf, FrameRow, Publisher, StatusRow
 from heliograph_services.decoder.schedule import Schedule
 from heliograph_services.decoder.stream import EventStream, Window, fault
-from heliograph_services.decoder.tracks import SILENCE_US, Track
+from heliograph_services.decoder.tracks import SILENCE_US, Track, finite
 
 SECOND_US: Final = 1_000_000
 
@@ -106,6 +106,10 @@ class DecoderCore:
     def _offer(self, tracks: Tracks) -> list[Message]:
         if tracks.camera != self._config.camera:
             self._refuse(Refusal.OTHER_CAMERA)
+            return []
+        if not finite(tracks):
+            # As on the bus, where the record's own ranges refuse it.
+            self._refuse(Refusal.BAD_BODY)
             return []
         now_us = self._stream.now_us if self._stream is not None else None
         refusal = self._schedule.offer(tracks, now_us)

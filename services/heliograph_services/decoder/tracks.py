@@ -40,6 +40,10 @@ EXCHANGE_PX: Final = 2.0
 LEAST_PX2: Final = 0.25
 LEAST_PX_S: Final = 50.0
 LEAST_SHARE: Final = 0.1
+NUMBERS: Final = (
+    "x_px", "y_px", "vx_px_s", "vy_px_s", "radius_px", "x_var_px2", "x_vx_cov_px2_s", "vx_var_px2_s2",
+    "y_var_px2", "y_vy_cov_px2_s", "vy_var_px2_s2",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +104,11 @@ class Plan:
     adopt: list[tuple[Track, Told]]
     end: list[Track]
     new: list[Told]
+
+
+def finite(message: Tracks) -> bool:
+    """Return whether all numbers of a message are numbers: one that is not would spread to all that it is added to."""
+    return all(math.isfinite(sum(getattr(message, column))) for column in NUMBERS)
 
 
 def told_by(message: Tracks, followed: set[str], config: DecoderConfig) -> tuple[list[Told], int]:
