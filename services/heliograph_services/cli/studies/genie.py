@@ -9,8 +9,8 @@ beacons: .71 with all that a beacon's edges reach, 1.00 with its core). An event
 whose core it lies in, and to no other. Nothing is acquired, predicted, centred, contested or lost; a place published
 with a frame is the true one.
 
-It is the ceiling of the path, not of the ear: where receivers hardly lock (2 kbit/s behind a scan of 199 us) another
-choice of pixels may read more.
+Where receivers are short of events (2 kbit/s behind a scan of 199 us) all that the image reaches may read more than its
+core: with the ear `whole` the genie listens to `reach_px`. The ceiling of a path is the better of both ears.
 
 Between the genie and the whole system stands the decoder that is *told* the truth: `ToldTracker` publishes Tracks with
 the true places, velocities and sizes once a period, and the decoder extrapolates and centres its regions as always.
@@ -19,7 +19,7 @@ What that loses beside the genie the regions lose; what the system loses beside 
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numba
 import numpy as np
@@ -35,6 +35,8 @@ from heliograph_services.cli.studies.paths import MARGIN_PX, Floats, TruePaths
 from heliograph_services.event_source.simulation.contract import NODE_US
 from heliograph_services.event_source.simulation.world.spec import BeaconSpec
 
+Ear = Literal["core", "whole"]
+
 # Beyond the half width at half maximum; half a pixel is a pixel's own extent.
 CORE_PX: Final = 0.5
 # A track's radius covers nine tenths of its target's pixels (heliograph.messages.Tracks): so much of a disc's own.
@@ -47,17 +49,19 @@ class Genie:
     Args:
         paths: of the scene.
         receiver: which of the modulations' receivers; a modulation that lacks it uses its default.
+        ear: the image's core, or all that its edges reach.
 
     Raises:
         ValueError: a modulation refuses an option, or a bit rate is out of range.
     """
 
-    def __init__(self, paths: TruePaths, receiver: str = "default") -> None:
+    def __init__(self, paths: TruePaths, receiver: str = "default", ear: Ear = "core") -> None:
         self.refusals = Refusals()
         self.counters: dict[str, int] = {"events": 0, "events_heard": 0, "frames": 0}
         self.gauges: dict[str, float] = {}
         self._paths = paths
-        self._core_px = np.where(paths.reach_px > 0.0, np.minimum(paths.reach_px, paths.radius_px + CORE_PX), 0.0)
+        core_px = np.where(paths.reach_px > 0.0, np.minimum(paths.reach_px, paths.radius_px + CORE_PX), 0.0)
+        self._ear_px = core_px if ear == "core" else paths.reach_px
         self._receivers = [receiver_of(spec, receiver) for spec in paths.beacons]
 
     def feed(self, message: Message) -> list[Message]:
@@ -65,7 +69,7 @@ class Genie:
         if not isinstance(message, Events):
             return []
         batch = message.batch
-        whose = hearer(self._paths, self._core_px, batch)
+        whose = hearer(self._paths, self._ear_px, batch)
         rows: list[tuple[int, int, LinkFrame]] = []
         for i, receiver in enumerate(self._receivers):
             mine = whose == i
