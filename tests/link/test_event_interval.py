@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 from heliograph.errors import Refusal
 from heliograph.link.contract import edges_of
+from heliograph.link.interval_soft import SURE, IntervalLikelihood
 from heliograph.link.modulations import MODULATIONS, modulation
-from heliograph.link.modulations.event_interval import bits_of_symbol, gray
+from heliograph.link.modulations.event_interval import bits_of_symbol, gray, symbols_of
 from heliograph_services.cli.studies.asynchronous import AsyncPixels
 from heliograph_services.cli.studies.strangers import SENTENCE, nobody, others, sent
 from support.async_lights import read
@@ -75,12 +76,72 @@ def test_what_is_told_is_right_where_rises_are_dropped_and_made_up() -> None:
     assert right > 0.8 * len(text)
 
 
-def test_a_gap_read_as_its_neighbour_is_corrected() -> None:
+def test_a_gap_in_its_neighbours_place_withholds_the_character() -> None:
     gaps = [gap for character in TEXT for gap in (11, *_gaps(character))]
     gaps[6 * 40 + 3] += 1
     rises_us = np.cumsum([7, *gaps, 11]) * 10
-    got = read(KIND.receiver(FASTEST), rises_us.astype(np.int64), np.ones(len(rises_us), np.bool_))
-    assert got.text == TEXT
+    receiver = KIND.receiver(FASTEST)
+    got = read(receiver, rises_us.astype(np.int64), np.ones(len(rises_us), np.bool_))
+    assert got.text == TEXT[:40] + TEXT[41:]
+    assert receiver.refusals == {Refusal.UNKNOWN_WORD: 1}
+
+
+def test_a_gap_nearer_to_its_neighbour_by_a_hair_is_corrected() -> None:
+    likelihood = IntervalLikelihood()
+    rng = np.random.default_rng(4)
+    for character in TEXT:
+        likelihood.take([symbol + 0.2 * rng.standard_normal() for symbol in symbols_of(ord(character))])
+    choice = likelihood.take(
+        [symbol + off for symbol, off in zip(symbols_of(ord("k")), (0.1, 0, 0.55, 0, 0), strict=True)]
+    )
+    assert choice.code == ord("k")
+    assert not choice.exact
+    assert choice.margin > SURE
+
+
+def test_a_light_that_is_a_text_beacon_no_more_says_nothing_more() -> None:
+    rng = np.random.default_rng(5)
+    told = 0
+    for _ in range(20):
+        # Gaps of the alphabet at random, with a start before every five: nothing but the words tells them from text.
+        gaps = [gap for _ in range(200) for gap in (11, *rng.integers(3, 11, 5).tolist())]
+        rises_us = np.cumsum([7, *(gap for character in TEXT for gap in (11, *_gaps(character))), *gaps, 11]) * 10
+        times = (rises_us + rng.normal(0.0, 0.5, len(rises_us))).astype(np.int64)
+        got = read(KIND.receiver(FASTEST), times, np.ones(len(times), np.bool_))
+        assert got.text.startswith(TEXT)
+        assert got.identity is None
+        told += len(got.text) - len(TEXT)
+    # One in 256 such words is a character's, and some ten pass before the identity is dropped.
+    assert told <= 4
+
+
+def test_what_is_likelier_no_character_than_one_is_refused_by_name() -> None:
+    likelihood = IntervalLikelihood()
+    text = [[float(symbol) for symbol in symbols_of(ord(character))] for character in TEXT]
+    margins = [likelihood.take(gaps).margin for gaps in text]
+    assert min(margins[5:]) > SURE
+    for at, off in ((0, 1.0), (2, -1.0), (4, 2.5)):
+        gaps = list(text[0])
+        gaps[at] = (gaps[at] + off) % 8.0
+        assert likelihood.take(gaps).margin < SURE
+    choice = likelihood.take([0.0, 5.0, 2.0, 7.0, 1.0])
+    assert choice.none
+    assert choice.margin < 0.0
+
+
+def test_a_rise_told_late_after_a_short_gap_is_learned() -> None:
+    likelihood = IntervalLikelihood()
+    rng = np.random.default_rng(3)
+    late = np.array([0.3, 0.2, 0.1, 0.05, 0.0, 0.0, 0.0, 0.0, 0.0])
+    margins = []
+    for _ in range(4):
+        for character in TEXT:
+            symbols = (8, *symbols_of(ord(character)))
+            gaps = [n + late[n] - late[b] + 0.1 * rng.standard_normal() for b, n in pairwise(symbols)]
+            choice = likelihood.take(gaps)
+            assert choice.code == ord(character)
+            margins.append(choice.margin)
+    assert np.mean(margins[-200:]) > np.mean(margins[20:100])
 
 
 def _gaps(character: str) -> list[int]:
@@ -92,8 +153,9 @@ def test_a_pause_between_texts_costs_next_to_nothing() -> None:
     bits = (*KIND.encode(TEXT), 1, *(0,) * 500, *KIND.encode(TEXT), *END)
     receiver = KIND.receiver(FASTEST)
     got = read(receiver, *sent(bits, FASTEST, LIGHT, 4))
-    assert len(got.text) >= 2 * len(TEXT) - 4
-    assert sum(receiver.refusals.values()) <= 2
+    # The detector learns the size of a rise twice; of noisy characters one in a hundred is withheld.
+    assert len(got.text) >= 2 * len(TEXT) - 8
+    assert sum(receiver.refusals.values()) <= 6
 
 
 @pytest.mark.parametrize("bit_rate", [5_000.0, FASTEST])

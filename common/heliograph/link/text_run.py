@@ -92,8 +92,20 @@ class TextRun:
             return []
         self._error += (wrong / self._bits - self._error) / ERROR_MEMORY
         p = max(self._error, ERROR_LEAST)
-        margin = (self._distance - 2 * wrong) * log((1.0 - p) / p)
-        frame = LinkFrame(end_us, nearest & 0xFF, probability(margin), margin)
+        return self.character(nearest & 0xFF, (self._distance - 2 * wrong) * log((1.0 - p) / p), end_us)
+
+    def character(self, code: int, margin: float, end_us: int) -> list[LinkFrame | Text]:
+        """Take a character that is sure enough to be told, and without an error as long as the track is not accepted.
+
+        Args:
+            code: of the character.
+            margin: log-likelihood (nats) to the runner-up.
+            end_us: when it ended.
+
+        Returns:
+            What it releases.
+        """
+        frame = LinkFrame(end_us, code, probability(margin), margin)
         self._watched.append(frame.score)
         self._recent.append((end_us, True))
         self._score = min(self._score + GAIN, SCORE_MAX)
