@@ -16,7 +16,7 @@ from heliograph_services.cli.services import config_type
 from heliograph_services.event_source.simulation.world.load import load_scenario, site_beacons
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
-SITES = ("laptop", "onboard", "ground", "reference", "paper")
+SITES = ("laptop", "protocols", "onboard", "ground", "reference", "paper")
 
 
 @pytest.mark.parametrize("name", SITES)
@@ -32,7 +32,7 @@ def test_a_shipped_site_has_valid_settings_and_links_that_zenoh_accepts(name: st
 @pytest.mark.parametrize("name", SITES)
 def test_a_shipped_site_lists_the_beacons_of_the_scene(name: str) -> None:
     site = load_site(DEPLOY / "sites" / f"{name}.toml")
-    scenario = "construction_site_nrp" if name == "paper" else "five"
+    scenario = {"paper": "construction_site_nrp", "protocols": "protocols"}.get(name, "five")
     assert list(site.beacon) == site_beacons(load_scenario(scenario))
 
 

@@ -34,7 +34,8 @@ path = { kind = "still", at_m = [0, 0, 0] }
 """
 SHIPPED = {
     "clutter", "construction_site", "construction_site_nrp", "construction_site_sun", "construction_site_sun_moving",
-    "crowd", "empty", "five", "handheld", "lab_moving", "lab_moving_16mm", "lab_static", "night", "spin", "still",
+    "crowd", "empty", "five", "handheld", "lab_moving", "lab_moving_16mm", "lab_static", "night", "protocols", "spin",
+    "still",
 }  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from heliograph.errors import Refusals
+from heliograph.link.bitrate import likely_bit_rates
 from heliograph.link.contract import Text
 from heliograph.site import Beacon
 from heliograph_services.cli.studies.asynchronous import AsyncPixels, events
@@ -80,7 +81,7 @@ def heard(
     pixels = AsyncPixels(pixels=40, jitter_us=3.0, refractory_us=2.0, noise_hz=1e3)
     t_us, on = events(at_us, levels > 0.5, pixels, np.random.default_rng(seed))
     listed = Beacon(name="it", protocol=protocol, bit_rate=told, payload=light.payload, options=dict(light.options))
-    plan = LinkPlan(config or DecoderConfig(beacons=(listed,)))
+    plan = LinkPlan(config or DecoderConfig(beacons=(listed,)), measure=likely_bit_rates)
     links = TrackLinks(plan)
     out = Heard(set(), None, 0, Counter(), "", Refusals())
     for until_us in range(WINDOW_US, end_us + WINDOW_US, WINDOW_US):
