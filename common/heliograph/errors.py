@@ -77,4 +77,6 @@ Refusals = Counter[Refusal]
 
 def by_name(refusals: Refusals) -> dict[str, int]:
     """Return the counts under the refusals' names, in the order of `Refusal`, zeros left out."""
+    if not refusals:
+        return {}
     return {reason.value: refusals[reason] for reason in Refusal if refusals[reason]}

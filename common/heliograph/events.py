@@ -67,13 +67,12 @@ def checked(batch: EventBatch, width: int, height: int) -> EventBatch:
     """
     if len(batch) == 0:
         return batch
-    falls = np.flatnonzero(np.diff(batch.t_us) < 0)
-    if len(falls):
-        i = int(falls[0])
+    falls = batch.t_us[1:] < batch.t_us[:-1]
+    if falls.any():
+        i = int(falls.argmax())
         raise ValueError(f"time runs backwards at event {i + 1}: {batch.t_us[i + 1]} us after {batch.t_us[i]} us")
-    off = np.flatnonzero((batch.x_px >= width) | (batch.y_px >= height))
-    if len(off):
-        i = int(off[0])
+    if batch.x_px.max() >= width or batch.y_px.max() >= height:
+        i = int(np.argmax((batch.x_px >= width) | (batch.y_px >= height)))
         raise ValueError(f"event {i} at ({batch.x_px[i]}, {batch.y_px[i]}) lies outside {width}x{height}")
     return batch
 

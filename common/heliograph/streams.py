@@ -151,11 +151,14 @@ class Events(Message, frozen=True, kw_only=True):
         raw = msgspec.convert(body, _EventsBody, strict=True)
         raw.check()
         bits = _array("on", raw.on, "u1", (raw.n + 7) // 8)
+        t_us = _array("dt_us", raw.dt_us, "<u4", raw.n).astype(np.int64)
+        t_us += raw.t0_us
+        # Arrays that may be written, so that kernels know them; the bits are bytes of 0 and 1 already.
         batch = EventBatch(
-            _array("dt_us", raw.dt_us, "<u4", raw.n).astype(np.int64) + raw.t0_us,
-            _array("x_px", raw.x_px, "<u2", raw.n).astype(np.uint16, copy=False),
-            _array("y_px", raw.y_px, "<u2", raw.n).astype(np.uint16, copy=False),
-            np.unpackbits(bits, count=raw.n, bitorder="little").astype(np.bool_),
+            t_us,
+            _array("x_px", raw.x_px, "<u2", raw.n).astype(np.uint16),
+            _array("y_px", raw.y_px, "<u2", raw.n).astype(np.uint16),
+            np.unpackbits(bits, count=raw.n, bitorder="little").view(np.bool_),
         )
         checked(batch, raw.width, raw.height)
         # The last event may lie on the watermark: a window of more than the source's limit is split there.

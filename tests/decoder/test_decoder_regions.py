@@ -275,6 +275,7 @@ def test_noise_alone_does_not_carry_a_region_away() -> None:
     for t0_us in range(0, 1_000_000, WINDOW_US):
         first, behind = np.searchsorted(batch.t_us, [t0_us, t0_us + WINDOW_US])
         made.follow(batch.part(int(first), int(behind)), WINDOW_US, Refusals())
+        made.measure()
     assert made.place(0).away_px(Place(80.0, 60.0, 0.0, 0.0, 7.0)) < 1.0
 
 

@@ -22,7 +22,7 @@ def _events(n: int, seed: int, width: int = WIDTH, height: int = HEIGHT) -> Even
 
 
 def _near(batch: EventBatch, x_px: Floats, y_px: Floats, reach_px: Floats) -> tuple[EventBatch, int]:
-    tiles = Tiles(batch, WIDTH, HEIGHT)
+    tiles = Tiles([batch], WIDTH, HEIGHT)
     for _ in range(WHOLE_LOOKS):
         near, elsewhere = tiles.near(x_px, y_px, reach_px)
         assert near is batch

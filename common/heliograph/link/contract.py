@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -117,6 +117,15 @@ class Receiver(Protocol):
 
     def quality(self, now_us: int) -> LinkQuality:
         """Return how well the last second was read."""
+        ...
+
+
+@runtime_checkable
+class Punctual(Protocol):
+    """A receiver that knows when it is worth feeding; whoever does not heed it gets the same, later or at more cost."""
+
+    def due_us(self) -> int:
+        """Return the least until_us whose feed may decide a frame, as far as is known now; 2**60 if no time is."""
         ...
 
 

@@ -27,6 +27,9 @@ WINDOW_LEAST_BITS: Final = 32
 # Parts of a block, at the end of each of which a young track is tried: 8 bits, 4 ms at 2 kbit/s, where the decoder is
 # fed every 5 ms.
 PARTS: Final = 2
+# By which the next frame's end may still move towards us: the clock's steps of a frame at a jitter of a tenth of a bit.
+EARLY_BITS: Final = 1.0 / 16.0
+NEVER_US: Final = 2**60
 # Events held while waiting for a clock: 256 bits at 1 kbit/s hold 4 Mev/s in one region, a flicker of the whole image.
 WINDOW_EVENTS: Final = 1_000_000
 
@@ -95,6 +98,20 @@ class CyclicReceiver:
             t_us, on = self._follow(t_us, on, until_us, out)
             if self._origin_us is not None:
                 return out
+
+    def due_us(self) -> int:
+        """Return when the slot at the end of the next frame closes, half a bit behind it; never without an alignment.
+
+        The clock is steered on the way: a little earlier is fed in vain once, a little later is a window late.
+        """
+        floats, ints = self._state.floats, self._state.ints
+        aligned = int(ints[state.ALIGNED])
+        if self._origin_us is None or aligned < 0:
+            return NEVER_US
+        slots = (aligned - int(ints[state.SLOT])) % self._code.bits
+        at = float(floats[state.BOUNDARY]) + (slots + 0.5) * float(floats[state.PERIOD])
+        early = EARLY_BITS if slots else 0.0
+        return self._origin_us + int(np.ceil((at - early) * self._bit_us))
 
     def flush(self) -> list[LinkFrame | Text]:
         """Decide the frame that ends within the last bit; the stream has ended."""

@@ -10,6 +10,7 @@ receiver sees enough of it to know that the LED idles.
 from __future__ import annotations
 
 from bisect import bisect_right
+from math import ceil
 from typing import Final
 
 import numba
@@ -101,6 +102,13 @@ class SubBins:
             return self.base
         begun_us, first, last = int(self._state[0]), int(self._state[1]), int(self._state[2])
         return int(min(first + (until_us - begun_us) / self.width_us, last + QUIET_BINS))
+
+    def reaches_us(self, sub_bin: int) -> int:
+        """Return the least until_us at which `known` is this sub-bin; 2**60 where that takes another event."""
+        begun_us, first, last = int(self._state[0]), int(self._state[1]), int(self._state[2])
+        if sub_bin > last + QUIET_BINS:
+            return 2**60
+        return begun_us + ceil((sub_bin - first) * self.width_us)
 
     def time_us(self, sub_bin: float) -> int:
         """Return the time at which a sub-bin (or a part of it) begins."""

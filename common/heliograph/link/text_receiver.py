@@ -29,6 +29,7 @@ RETRY_MAX_BINS: Final = 48 * CHARACTER_BINS
 # What is kept while there is no lock, so that what came before the first success is read after all; it covers the
 # longest wait and the stretch that the cold start looks at.
 KEPT_BINS: Final = RETRY_MAX_BINS + LOCK_BINS
+NEVER_US: Final = 2**60
 
 
 class TextReceiver:
@@ -70,6 +71,12 @@ class TextReceiver:
         if self._follower is not None and self._follower.lit:
             self._identity.idle(until_us)
         return out
+
+    def due_us(self) -> int:
+        """Return when the sub-bins that the follower waits for are known; never while there is none."""
+        if self._follower is None:
+            return NEVER_US
+        return self._bins.reaches_us(self._follower.need())
 
     def flush(self) -> list[LinkFrame | Text]:
         """Decide what is still held, as if silence followed."""

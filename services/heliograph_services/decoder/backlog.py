@@ -1,10 +1,10 @@
 """The last raw events, for tracks that arrive later than their targets.
 
 A track comes with its state at an instant A that has passed. From A its path is followed back to its birth and forth to
-now through the kept windows, centred on its own events both ways (heliograph_services.decoder.centring; backwards in
+now through the kept beats, centred on its own events both ways (heliograph_services.decoder.centring; backwards in
 mirrored time, t -> -t, where all that is known of filters holds). What it would have heard is given to its receiver
 first. So a track that arrives late loses nothing, as far back as the backlog goes; and a region that has lost its
-target catches up with it from A. Of a window with many events those near the regions alone are looked at
+target catches up with it from A. Of a beat with many events those near the regions alone are looked at
 (heliograph_services.decoder.tiles).
 """
 
@@ -40,9 +40,9 @@ class Heard:
 
 
 @dataclass(frozen=True, slots=True)
-class _Window:
+class _Beat:
     t0_us: int
-    batch: EventBatch
+    events: int
     tiles: Tiles
 
 
@@ -53,35 +53,36 @@ class _Passed:
 
 
 class Backlog:
-    """The raw events of the last windows, bounded by time and by number.
+    """The raw events of the last beats, bounded by time and by number.
 
     Args:
         size: the sensor's width and height, px.
-        window_us: length of a window.
+        beat_us: length of a beat.
         limit_us: how far back it goes.
         limit_events: how many events it holds at most.
     """
 
-    def __init__(self, size: tuple[int, int], window_us: int, limit_us: int, limit_events: int) -> None:
+    def __init__(self, size: tuple[int, int], beat_us: int, limit_us: int, limit_events: int) -> None:
         self._size = size
-        self._window_us = window_us
+        self._beat_us = beat_us
         self._limit_us = limit_us
         self._limit_events = limit_events
-        self._windows: deque[_Window] = deque()
+        self._beats: deque[_Beat] = deque()
         self.events = 0
 
     def clear(self) -> None:
         """Forget all."""
-        self._windows.clear()
+        self._beats.clear()
         self.events = 0
 
-    def push(self, t0_us: int, batch: EventBatch) -> None:
-        """Keep the window that begins at t0_us; let the oldest go."""
-        self._windows.append(_Window(t0_us, batch, Tiles(batch, *self._size)))
-        self.events += len(batch)
-        oldest_us = t0_us + self._window_us - self._limit_us
-        while self._windows and (self._windows[0].t0_us < oldest_us or self.events > self._limit_events):
-            self.events -= len(self._windows.popleft().batch)
+    def push(self, t0_us: int, windows: list[EventBatch]) -> None:
+        """Keep the windows of the beat that begins at t0_us; let the oldest go."""
+        events = sum(map(len, windows))
+        self._beats.append(_Beat(t0_us, events, Tiles(windows, *self._size)))
+        self.events += events
+        oldest_us = t0_us + self._beat_us - self._limit_us
+        while self._beats and (self._beats[0].t0_us < oldest_us or self.events > self._limit_events):
+            self.events -= self._beats.popleft().events
 
     def replay(self, regions: Regions, states: Floats, born_us: list[int], as_of_us: int, now_us: int) -> list[Heard]:
         """Return what new tracks would have heard; `regions` then holds them as of now.
@@ -91,11 +92,11 @@ class Backlog:
             states: (ROWS, k), what the tracks are at as_of_us.
             born_us: their births; nothing before them is heard.
             as_of_us: the instant of the states; may be later than now_us.
-            now_us: the end of the last kept window.
+            now_us: the end of the last kept beat.
         """
         n = states.shape[1]
         pivot_us, start = self._pivot(states, as_of_us, now_us)
-        earlier = [w for w in self._windows if min(born_us) - self._window_us < w.t0_us < pivot_us]
+        earlier = [beat for beat in self._beats if min(born_us) - self._beat_us < beat.t0_us < pivot_us]
         regions.load(_mirrored(start), np.full(n, NEVER), -pivot_us)
         before = self._pass(regions, earlier[::-1], back=True)
         # Centred on the way back is centred at the pivot: the forward pass begins there.
@@ -120,28 +121,29 @@ class Backlog:
         self._forth(regions, start, np.full(states.shape[1], NEVER), pivot_us, now_us)
 
     def _pivot(self, states: Floats, as_of_us: int, now_us: int) -> tuple[int, Floats]:
-        """Return the beginning of a window at or before as_of_us, and the states carried there."""
-        pivot_us = min(as_of_us - (as_of_us - now_us) % self._window_us, now_us)
+        """Return the beginning of a beat at or before as_of_us, and the states carried there."""
+        pivot_us = min(as_of_us - (as_of_us - now_us) % self._beat_us, now_us)
         start = states.copy()
         start[[X, Y]] += start[[VX, VY]] * ((pivot_us - as_of_us) / US_PER_S)
         return pivot_us, start
 
     def _forth(self, regions: Regions, start: Floats, centred_us: Ints, pivot_us: int, now_us: int) -> _Passed:
         regions.load(start, centred_us, pivot_us)
-        passed = self._pass(regions, [w for w in self._windows if w.t0_us >= pivot_us])
+        passed = self._pass(regions, [beat for beat in self._beats if beat.t0_us >= pivot_us])
         regions.advance(now_us - regions.now_us)
         return passed
 
-    def _pass(self, regions: Regions, windows: list[_Window], *, back: bool = False) -> _Passed:
-        """Follow all regions through the windows; back in mirrored time."""
+    def _pass(self, regions: Regions, beats: list[_Beat], *, back: bool = False) -> _Passed:
+        """Follow all regions through the beats; back in mirrored time."""
         passed = _Passed([], [])
         ignored = Refusals()  # counted when they came
-        for window in windows:
-            t0_us = -(window.t0_us + self._window_us) if back else window.t0_us
+        for beat in beats:
+            t0_us = -(beat.t0_us + self._beat_us) if back else beat.t0_us
             regions.advance(t0_us - regions.now_us)
-            batch, elsewhere = window.tiles.near(*regions.ears(self._window_us))
+            batch, elsewhere = beat.tiles.near(*regions.ears(self._beat_us))
             batch = _back(batch) if back else batch
-            passed.pieces.append(regions.follow(batch, self._window_us, ignored, elsewhere))
+            passed.pieces.append(regions.follow(batch, self._beat_us, ignored, elsewhere))
+            regions.measure()
             passed.trail.append((regions.now_us, regions.motion()))
         return passed
 

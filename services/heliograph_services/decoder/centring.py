@@ -98,18 +98,17 @@ def share(state: Floats, centred_us: Ints, n: int, now_us: int) -> None:
     """
     for i in range(n):
         state[SHARED, i] = 0.0
-    for i in range(n):
-        for k in range(i):
+    for k in range(n):
+        # Of a thousand tracks that hear nothing, none takes anything from another.
+        if now_us - centred_us[k] > ALIVE_US:
+            continue
+        for i in range(n):
             both = state[REACH, i] + state[REACH, k]
             dx, dy = abs(state[X, i] - state[X, k]), abs(state[Y, i] - state[Y, k])
-            if dx < both and dy < both and dx * dx + dy * dy < both * both:
+            if i != k and dx < both and dy < both and dx * dx + dy * dy < both * both:
                 gates = gate_px(state, i) + gate_px(state, k)
-                if dx * dx + dy * dy >= gates * gates:
-                    continue
-                if now_us - centred_us[k] <= ALIVE_US and state[RANK, k] >= state[RANK, i]:
+                if dx * dx + dy * dy < gates * gates and state[RANK, k] >= state[RANK, i]:
                     state[SHARED, i] = 1.0
-                if now_us - centred_us[i] <= ALIVE_US and state[RANK, i] >= state[RANK, k]:
-                    state[SHARED, k] = 1.0
 
 
 @part

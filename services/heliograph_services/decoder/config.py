@@ -46,12 +46,12 @@ class DecoderConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     ] = {}
     # At 711 px/s, 2 m/s seen from 5 m through a 16 mm lens, a region moves 0.7 px in it: less than it is painted to.
     step_us: Annotated[int, Meta(ge=100, le=100_000, description="regions are moved once a step")] = 1_000
-    # Self-centred every 10 ms no event was lost up to 1000 px/s2; half of that halves what a frame waits for its
-    # publication, and a fed receiver still costs less than its bits.
+    # What a frame waits for its publication; a receiver is fed when it may decide something, so that windows of 5 ms
+    # would cost four fifths of it.
     window_us: Annotated[
         int,
-        Meta(ge=100, le=1_000_000, description="regions are re-centred, receivers fed, frames published once a window"),
-    ] = 5_000
+        Meta(ge=100, le=1_000_000, description="events are routed, due receivers fed, frames published once a window"),
+    ] = 1_000
     # radius_px covers nine tenths of the target's pixels: half as much again reaches the rest and the slow fringe.
     region_scale: Annotated[float, Meta(ge=0.5, le=10.0, description="a region's radius in radii of its target")] = 1.5
     self_centring: Annotated[

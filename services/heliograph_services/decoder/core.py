@@ -1,11 +1,13 @@
 """From events and tracks to frames, identifications and texts.
 
-One window (config.window_us, on an absolute grid) after another::
+One window (config.window_us, on an absolute grid) after another, some windows a beat::
 
-    tracks that take effect -> regions                 schedule, tracks, following, backlog
-    events -> the track that hears them -> receivers   regions, routing, centring, links
+    a beat begins: tracks that take effect -> regions  schedule, tracks, following, backlog
+    events -> the track that hears them                regions, routing, centring
+    the receivers that may decide something            feeding, links
     frames and refusals, one message a window
     identities: accepted, changed, lost                identities
+    a beat ends: what heard anything is fed; what nobody follows is let go
     on the grid of refresh_us: texts joined, identities refreshed; each second: link quality
     on the grid of tracker_period_us: statuses
 
@@ -148,10 +150,10 @@ class DecoderCore:
         return out
 
     def _begin(self, events: Events) -> EventStream:
-        self._stream = EventStream(events, self._config.window_us)
         size = (events.width, events.height)
         if self._following is None or self._following.size != size:
             self._following = Following(self._config, self._plan, *size)
+        self._stream = EventStream(events, self._config.window_us, self._following.beat_us)
         self._following.restart(self._stream.now_us)
         self._told_us = self._stream.now_us
         for _ in range(self._schedule.begin(events.t0_us)):
@@ -176,41 +178,78 @@ class DecoderCore:
         if following is None:
             return []
         out: list[Message] = []
-        while (tracks := self._schedule.due(window.t0_us)) is not None:
-            out += self._apply(following, tracks, window.t0_us)
+        if window.t0_us % following.beat_us == 0:
+            out += self._begin_beat(following, window.t0_us)
         off = Refusals()
-        following.history.record(window.t0_us, following.regions.motion())
-        following.regions.rank([track.reading(window.t0_us) for track in following.tracks])
         routed = following.regions.follow(window.batch, self._config.window_us, off)
-        following.history.record(following.regions.now_us, following.regions.motion())
-        following.backlog.push(window.t0_us, window.batch)
         for reason, n in off.items():
             self._refuse(reason, n)
-        self.counters["windows"] += 1
-        self.counters["identifications"] = self._identities.accepted
-        self.counters["identities_withheld"] = self._identities.withheld
-        self.counters["refreshments_withheld"] = self._identities.unsure
-        self.counters["duplicates"] = self._identities.duplicates.found
+        following.feeding.note(routed, window.t1_us)
+        following.heard.append(window.batch)
         self.counters["events_routed"] += len(routed.t_us)
+        self.counters["windows"] += 1
 
         now_us = window.t1_us - 1 if window.last else window.t1_us
+        ends = window.last or now_us % following.beat_us == 0
+        if ends:
+            following.end_beat()
         rows, self._early = self._early, []
-        for i, track in enumerate(following.tracks):
-            decided = track.links.feed(*routed.of(i), window.t1_us)
-            if window.last:
-                decided += track.links.flush(window.t1_us)
-            rows += self._collected(following, i, decided)
-        out += self._frames(following, rows, window.t0_us, now_us)
-        out += self._identities.decide(following, now_us)
-        out += self._sweep(following, now_us)
+        stirred = ends
+        for i in following.feeding.whom(window.t1_us, beat=ends, every=window.last or self._is_on_the_grid(now_us)):
+            track = following.tracks[i]
+            decided = track.links.feed(*following.feeding.take(i), window.t1_us)
+            following.feeding.fed(i, window.t1_us, track.links.due_us())
+            if decided:
+                rows += self._collected(following, i, decided)
+            self._note_refusals(track)
+            stirred = self._identities.stirs(track, now_us) or stirred
+        if window.last:
+            for i, track in enumerate(following.tracks):
+                rows += self._collected(following, i, track.links.flush(window.t1_us))
+                self._note_refusals(track)
+        if rows or self._refused:
+            refused, self._refused = self._refused, Refusals()
+            out.append(self._publisher.frames(rows, refused, window.t0_us, now_us))
+        if stirred:
+            out += self._identities.decide(following, now_us)
+        if ends:
+            out += self._end_beat(following, window, now_us)
+        return out
+
+    def _begin_beat(self, following: Following, t0_us: int) -> list[Message]:
+        """Let the tracks that have come take effect, and say which regions are being read."""
+        out: list[Message] = []
+        while (tracks := self._schedule.due(t0_us)) is not None:
+            out += self._apply(following, tracks, t0_us)
+        following.history.record(t0_us, following.regions.motion())
+        following.regions.rank([track.reading(t0_us) for track in following.tracks])
+        return out
+
+    def _end_beat(self, following: Following, window: Window, now_us: int) -> list[Message]:
+        """Let go what nobody follows; send what is due on the grid."""
+        following.feeding.end_beat()
+        out = self._sweep(following, now_us)
         # A stream that ends on the grid has had its turn with the window before.
         if not window.last or now_us > window.t0_us:
             out += self._on_the_grid(following, now_us, last=window.last)
         self.gauges["tracks"] = float(len(following.tracks))
         self.gauges["identities"] = float(sum(track.read for track in following.tracks))
         self.gauges["backlog_events"] = float(following.backlog.events)
+        self.counters["identifications"] = self._identities.accepted
+        self.counters["identities_withheld"] = self._identities.withheld
+        self.counters["refreshments_withheld"] = self._identities.unsure
+        self.counters["duplicates"] = self._identities.duplicates.found
         self.counters["repaintings"] = following.regions.repaintings
         return out
+
+    def _is_on_the_grid(self, now_us: int) -> bool:
+        return now_us % self._config.refresh_us == 0 or now_us % self._config.tracker_period_us == 0
+
+    def _note_refusals(self, track: Track) -> None:
+        taken = track.links.take_refusals()
+        if taken:
+            self._refused.update(taken)
+            self.refusals.update(taken)
 
     def _apply(self, following: Following, tracks: Tracks, now_us: int) -> list[Message]:
         before = {track.name: track.state for track in following.tracks if track.state is not None}
@@ -244,17 +283,6 @@ class DecoderCore:
                 track.texts.append((one.link, one.item))
         self.counters["frames"] += len(rows)
         return rows
-
-    def _frames(self, following: Following, rows: list[FrameRow], t0_us: int, t1_us: int) -> list[Message]:
-        refused, self._refused = self._refused, Refusals()
-        for track in following.tracks:
-            taken = track.links.take_refusals()
-            if taken:
-                refused.update(taken)
-                self.refusals.update(taken)
-        if not rows and not refused:
-            return []
-        return [self._publisher.frames(rows, refused, t0_us, t1_us)]
 
     def _sweep(self, following: Following, now_us: int) -> list[Message]:
         """End what nobody follows: tracks that are not read, and of which the tracker has not told for long."""

@@ -7,9 +7,11 @@ from typing import Final
 
 import numpy as np
 
+from heliograph.events import EventBatch
 from heliograph.messages import Tracks
 from heliograph_services.decoder.backlog import Backlog
 from heliograph_services.decoder.config import DecoderConfig
+from heliograph_services.decoder.feeding import Feeding, beat_us
 from heliograph_services.decoder.history import History
 from heliograph_services.decoder.link_plan import LinkPlan
 from heliograph_services.decoder.links import CONTEST_US, Decided, TrackLinks
@@ -58,14 +60,16 @@ class Following:
         self._plan = plan
         self._serial = 0
         self.size = (width, height)
-        self.window_us = config.window_us
+        self.beat_us = beat_us(config.window_us, config.refresh_us, config.tracker_period_us)
         self.tracks: list[Track] = []
         self.relocated = 0
+        self.heard: list[EventBatch] = []  # the windows of the beat
         self._as_of_us: int | None = None  # of the last message
         self.regions = self._free_regions()
         self._spare = self._free_regions()
-        self.backlog = Backlog(self.size, config.window_us, config.backlog_us, config.backlog_events)
-        self.history = History(-(-HISTORY_US // config.window_us))
+        self.backlog = Backlog(self.size, self.beat_us, config.backlog_us, config.backlog_events)
+        self.history = History(-(-HISTORY_US // self.beat_us))
+        self.feeding = Feeding(config.max_tracks)
 
     def _free_regions(self) -> Regions:
         config = self._config
@@ -79,16 +83,24 @@ class Following:
         self._as_of_us = None
         self.backlog.clear()
         self.history.clear()
+        self.heard = []
+        self.feeding = Feeding(self._config.max_tracks)
         self.regions.restart(now_us)
         self.regions.noise_per_px_us = 0.0
 
+    def end_beat(self) -> None:
+        """Note where the regions are, measure the noise, and keep the events of the beat."""
+        now_us = self.regions.now_us
+        self.history.record(now_us, self.regions.motion())
+        self.regions.measure()
+        self.backlog.push(now_us - now_us % -self.beat_us - self.beat_us, self.heard)
+        self.heard = []
+
     def at(self, i: int, t_us: int) -> Place:
         """Return where track i was, or will be, at t_us."""
-        then = self.regions.place(i).after(t_us - self.regions.now_us)
+        now = self.regions.place(i)
         known = self.history.at(i, t_us)
-        if known is None:
-            return then
-        return Place(*known, then.reach_px)
+        return now.after(t_us - self.regions.now_us) if known is None else Place(*known, now.reach_px)
 
     def end(self, ended: list[Track]) -> None:
         """Let these tracks go."""
@@ -97,6 +109,7 @@ class Following:
         self.tracks = [self.tracks[i] for i in kept]
         self.regions.keep(kept)
         self.history.keep(kept)
+        self.feeding.keep(kept)
 
     def apply(self, message: Tracks, now_us: int) -> Applied:
         """Let a Tracks message take effect at now_us, the regions' instant."""
@@ -199,10 +212,12 @@ class Following:
         self.regions.append(self._spare.states(), self._spare.centred_us())
         for one in heard:
             self.history.append(one.trail_us, one.trail)
-        return [
+        fed = [
             (track, track.links.feed(one.t_us, one.on, one.depth, now_us))
             for track, one in zip(begun, heard, strict=True)
         ]
+        self.feeding.append(now_us, [len(one.t_us) > 0 for one in heard], [track.links.due_us() for track in begun])
+        return fed
 
 
 def _not_twice(row: Told, heard: list[Place], now_us: int) -> Told:

@@ -59,10 +59,10 @@ class History:
         times = self._t_us[: self._n]
         if not self._n or t_us > times[-1]:
             return None
-        k = int(np.searchsorted(times, t_us))
+        k = int(times.searchsorted(t_us))
         motion = self._motion[k, :, i]
         if k > 0:
             share = (times[k] - t_us) / (times[k] - times[k - 1])
             motion = motion + share * (self._motion[k - 1, :, i] - motion)
-        x_px, y_px, vx_px_s, vy_px_s = (float(value) for value in motion)
+        x_px, y_px, vx_px_s, vy_px_s = motion.tolist()
         return x_px, y_px, vx_px_s, vy_px_s

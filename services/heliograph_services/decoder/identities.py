@@ -73,7 +73,8 @@ class Identities:
             current = one if one is not None and one.identity.t_us > track.withheld_us else None
             before = track.held
             if current is None:
-                out += self.lose(track, following.at(i, now_us), now_us)
+                if before is not None:
+                    out += self.lose(track, following.at(i, now_us), now_us)
             elif before is None or not _same(before, current):
                 track.held = current
                 t_us = min(current.identity.t_us, now_us)
@@ -82,6 +83,16 @@ class Identities:
             else:
                 track.held = current
         return out
+
+    def stirs(self, track: Track, now_us: int) -> bool:
+        """Return whether what a track has read is news for `decide`; note what only supports its identity."""
+        one = track.links.accepted(now_us)
+        if one is None or track.held is None:
+            return one is not track.held
+        if one.identity.t_us > track.withheld_us and _same(track.held, one):
+            track.held = one
+            return False
+        return True
 
     def _withheld(self, following: Following, found: list[Accepted | None], now_us: int) -> set[int]:
         """Return the tracks that may not be published as what they have read."""
@@ -170,7 +181,7 @@ class Identities:
         read_us = held.identity.t_us
         if track.frame_link == held.link and track.frame_us > read_us:
             return True
-        if now_us - read_us <= self._plan.frames_us(held.link, UNSURE_FRAMES) + following.window_us:
+        if now_us - read_us <= self._plan.frames_us(held.link, UNSURE_FRAMES) + following.beat_us:
             return False
         hears = now_us - int(following.regions.centred_us()[i]) <= BLIND_US
         return hears or _off_px(following, i) > 0.0 or _is_lost(following, i)

@@ -10,12 +10,13 @@ nothing is held.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final
 
 from heliograph.errors import Refusals
 from heliograph.events import Flags, Times
-from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Receiver, Text, Verdict
+from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Punctual, Receiver, Text, Verdict
 from heliograph_services.decoder.link_plan import LinkPlan
 from heliograph_services.decoder.measuring import Measuring
 from heliograph_services.decoder.region_state import Depths
@@ -54,6 +55,9 @@ class _Contender:
     link: int
     receiver: Receiver
     bit_rate: float
+    depth: int  # what it hears of an image
+    loss_us: int  # how long an identity lives without support
+    due_us: Callable[[], int] | None  # of a receiver that says when it is due
     counted: Refusals = field(default_factory=Refusals)
     held: list[LinkFrame | Text] = field(default_factory=list)
     invalid_since_us: int | None = None
@@ -83,7 +87,7 @@ class TrackLinks:
         for link in links:
             known = self._plan.rows[link].key.bit_rate
             for rate in self._rates if known is None else (known,):
-                self._contenders.append(_Contender(link, self._plan.receiver(link, rate), rate))
+                self._contenders.append(_contender(self._plan, link, rate))
         self._contenders.sort(key=lambda one: (one.link, one.bit_rate))
 
     def feed(self, t_us: Times, on: Flags, depth: Depths, until_us: int) -> list[Decided]:
@@ -103,10 +107,27 @@ class TrackLinks:
             self._entered_us = until_us
             self._enter(range(len(self._plan.rows)))
         for one in self._contenders:
-            heard = depth >= self._plan.depth(one.link, one.bit_rate)
-            one.held += one.receiver.feed(t_us[heard], on[heard], until_us)
-            del one.held[:-HELD_LIMIT]
+            if one.depth:
+                heard = depth >= one.depth
+                one.held += one.receiver.feed(t_us[heard], on[heard], until_us)
+            else:
+                one.held += one.receiver.feed(t_us, on, until_us)
+            if len(one.held) > HELD_LIMIT:
+                del one.held[:-HELD_LIMIT]
         return self._settle(until_us)
+
+    def due_us(self) -> int:
+        """Return from when on a feed may decide something that should not wait: as far as is known now.
+
+        While links contend for the track, what they decide is held anyway. A receiver that does not say when it is due
+        (`heliograph.link.contract.Punctual`) is due at once while it reads.
+        """
+        if len(self._contenders) != 1:
+            return FOREVER_US
+        one = self._contenders[0]
+        if one.due_us is not None:
+            return one.due_us()
+        return FOREVER_US if one.receiver.identity() is None else 0
 
     def flush(self, now_us: int) -> list[Decided]:
         """Decide and return all that is held: the track's stream has ended."""
@@ -123,6 +144,11 @@ class TrackLinks:
         elif self._winner is None:
             self._vote(now_us)
         self._renew(now_us)
+        if len(self._contenders) == 1 and (self._winner is not None or not self._rates):
+            # The usual case: nothing is held back.
+            only = self._contenders[0]
+            told, only.held = only.held, []
+            return [Decided(only.link, item) for item in told]
         newest_us = now_us + 1 if len(self._contenders) == 1 else now_us - hold_us
         if self._hopeless(now_us):
             newest_us = now_us + 1
@@ -172,15 +198,15 @@ class TrackLinks:
                 one.invalid_since_us = now_us
             elif now_us - one.invalid_since_us >= RETRY_US:
                 self._count(one)
-                one.receiver = self._plan.receiver(one.link, one.bit_rate)
-                one.counted = Refusals()
+                fresh = _contender(self._plan, one.link, one.bit_rate)
+                one.receiver, one.due_us, one.counted = fresh.receiver, fresh.due_us, fresh.counted
                 one.invalid_since_us = None
 
     def _supported(self, one: _Contender, now_us: int) -> bool:
         identity = one.receiver.identity()
         if identity is None or one.receiver.verdict(now_us) == "invalid":
             return False
-        return now_us - identity.t_us <= self._plan.loss_after_us(one.link, one.bit_rate)
+        return now_us - identity.t_us <= one.loss_us
 
     def accepted(self, now_us: int) -> Accepted | None:
         """Return the identity that the track holds at now_us."""
@@ -212,11 +238,23 @@ class TrackLinks:
     def take_refusals(self) -> Refusals:
         """Return what was refused since the last call."""
         for one in self._contenders:
-            self._count(one)
+            if one.receiver.refusals != one.counted:
+                self._count(one)
+        measured = self._measuring.refusals
+        if not self._refusals and not measured:
+            return self._refusals
         taken, self._refusals = self._refusals, Refusals()
-        taken.update(self._measuring.refusals)
-        self._measuring.refusals.clear()
+        taken.update(measured)
+        measured.clear()
         return taken
+
+
+def _contender(plan: LinkPlan, link: int, bit_rate: float) -> _Contender:
+    """Return a new contender, with what does not change as it goes on."""
+    receiver = plan.receiver(link, bit_rate)
+    due_us = receiver.due_us if isinstance(receiver, Punctual) else None
+    loss_us = plan.loss_after_us(link, bit_rate)
+    return _Contender(link, receiver, bit_rate, plan.depth(link, bit_rate), loss_us, due_us)
 
 
 def _margin(one: _Contender) -> float:

@@ -112,10 +112,25 @@ def shown_px(state: Floats, i: int) -> float:
 
 
 @part
+def gate_of(median_px: float, doubt_px: float) -> float:
+    """Return how far from its centre a region takes events for its target's: m and sqrt(P_xx) of it."""
+    return GATE_SHARE * median_px + GATE_MARGIN_PX + GATE_SIGMAS * doubt_px
+
+
+@part
 def gate_px(state: Floats, i: int) -> float:
     """Return how far from its centre region i takes events for its target's."""
-    gate: float = GATE_SHARE * state[CORE, i] + GATE_MARGIN_PX + GATE_SIGMAS * math.sqrt(state[P_XX, i])
+    gate: float = gate_of(state[CORE, i], math.sqrt(state[P_XX, i]))
     return gate
+
+
+@kernel
+def fastest(state: Floats, n: int) -> float:
+    """Return the speed of the fastest region, px/s."""
+    most = 0.0
+    for i in range(n):
+        most = max(most, state[VX, i] * state[VX, i] + state[VY, i] * state[VY, i])
+    return math.sqrt(most)
 
 
 @kernel

@@ -175,7 +175,9 @@ class Regions:
         self._heard = np.zeros((region_state.HEARD_ROWS, capacity), np.int64)
         bins = 2 * int(centring.BINS_PER_PX * (max_reach_px + region_state.GROW_LIMIT_PX + 2)) + 2
         self._counts = np.zeros((capacity, 2, bins), np.int32)
-        self.noise_per_px_us = 0.0  # of the last window, outside all regions
+        self.noise_per_px_us = 0.0  # as of the last `measure`
+        self._outside = 0  # events outside all regions since
+        self._outside_us = 0
 
     # ---- which regions there are ---------------------------------------------------------------------------------
 
@@ -183,6 +185,7 @@ class Regions:
         """Forget all regions; time begins anew."""
         self.keep([])
         self.now_us = now_us
+        self._outside = self._outside_us = 0
 
     def load(self, states: Floats, centred_us: region_state.Ints, now_us: int) -> None:
         """Replace all regions by these: states (ROWS, k) as of now_us."""
@@ -250,7 +253,9 @@ class Regions:
 
     def place(self, i: int) -> Place:
         """Return where region i is at now_us."""
-        return Place(*(float(value) for value in self._state[[X, Y, VX, VY, REACH], i]))
+        # The first rows of a state.
+        x_px, y_px, vx_px_s, vy_px_s, reach_px = self._state[: REACH + 1, i].tolist()
+        return Place(x_px, y_px, vx_px_s, vy_px_s, reach_px)
 
     def doubt(self, i: int) -> Doubt:
         """Return how sure that is."""
@@ -281,8 +286,7 @@ class Regions:
     def _step(self, window_us: int) -> int:
         """Return how long a step of this window is: short enough for the fastest region."""
         step_us = min(self._step_us, window_us)
-        speeds = np.hypot(self._state[VX, : self.n], self._state[VY, : self.n])
-        per_us = float(speeds.max(initial=0.0)) / US_PER_S
+        per_us = region_state.fastest(self._state, self.n) / US_PER_S
         parts = next((k for k in STEP_PARTS if step_us * per_us <= STEP_PX * k), STEP_PARTS[-1])
         return max(step_us // parts, 1)
 
@@ -317,6 +321,13 @@ class Regions:
         if off:
             refusals[Refusal.OFF_SENSOR] += off
         outside = m + elsewhere - hits - off
-        covered = float(np.sum(np.square(self._state[REACH, : self.n]))) * np.pi
-        self.noise_per_px_us = outside / (max(self._pixels - covered, 0.1 * self._pixels) * window_us)
+        self._outside += outside
+        self._outside_us += window_us
         return Routed(*sort_by_track(batch.t_us, batch.on, self.n, hits, hit, label, depth), outside)
+
+    def measure(self) -> None:
+        """Measure the noise outside all regions, over the time that has been followed since the last measurement."""
+        if self._outside_us:
+            covered = float(np.sum(np.square(self._state[REACH, : self.n]))) * np.pi
+            self.noise_per_px_us = self._outside / (max(self._pixels - covered, 0.1 * self._pixels) * self._outside_us)
+        self._outside = self._outside_us = 0

@@ -59,7 +59,7 @@ from heliograph_services.decoder.region_state import (
     X,
     Y,
     carry,
-    gate_px,
+    gate_of,
     grown_px,
     part,
     shown_px,
@@ -156,6 +156,7 @@ def look_up(
     step_us: int,
     labels: Labels,
     state: Floats,
+    n: int,
     heard: Ints,
     counts: Counts,
     hits: int,
@@ -171,45 +172,52 @@ def look_up(
     height, width = labels.shape
     half_s = 0.5 * step_us / US_PER_S
     first_hit, off = hits, 0
+    # What does not change within a step: a root an event would be a third of what an event costs.
+    grown, doubt = np.empty(n), np.empty(n)
+    for i in range(n):
+        grown[i], doubt[i] = grown_px(state, i), math.sqrt(state[P_XX, i])
     for j in range(len(t_us)):
-        x, y = x_px[j], y_px[j]
+        x, y = int(x_px[j]), int(y_px[j])
         if x >= width or y >= height:
             off += 1
             continue
         label = labels[y, x]
-        if label == 0:
-            continue
-        i = label - 1
-        s = min((t_us[j] - begin_us) / US_PER_S - half_s, half_s)
-        zx, zy = x - state[X, i] - state[VX, i] * s, y - state[Y, i] - state[VY, i] * s
-        away = math.sqrt(zx * zx + zy * zy)
+        # Written in any case, and kept where somebody hears it: see below.
         hit[hits] = offset + j
         hit_label[hits] = label
-        beyond = away - grown_px(state, i)
-        doubt_px = math.sqrt(state[P_XX, i])
-        if beyond <= max(HEART_SHARE * state[CORE, i] + HEART_MARGIN_PX, HEART_LEAST_PX) + doubt_px:
-            hit_depth[hits] = HEART_OF
-        else:
-            hit_depth[hits] = CORE_OF if beyond <= max(state[CORE, i] + CORE_MARGIN_PX, CORE_LEAST_PX) else 0
-        hits += 1
-        if away > gate_px(state, i):
+        hits += int(label != 0)
+    for k in range(first_hit, hits):
+        j, i = int(hit[k]) - offset, int(hit_label[k]) - 1
+        x, y = int(x_px[j]), int(y_px[j])
+        s = min((t_us[j] - begin_us) * 1e-6 - half_s, half_s)
+        zx, zy = x - state[X, i] - state[VX, i] * s, y - state[Y, i] - state[VY, i] * s
+        away2 = zx * zx + zy * zy
+        median = state[CORE, i]
+        heart = max(HEART_SHARE * median + HEART_MARGIN_PX, HEART_LEAST_PX) + doubt[i] + grown[i]
+        core = max(median + CORE_MARGIN_PX, CORE_LEAST_PX) + grown[i]
+        # Comparisons as numbers: what no processor can foresee is not branched on.
+        in_heart = np.uint8(away2 <= heart * heart)
+        hit_depth[k] = HEART_OF * in_heart + CORE_OF * (np.uint8(away2 <= core * core) & (1 - in_heart))
+        gate = gate_of(median, doubt[i])
+        if away2 > gate * gate:
             continue
-        if away <= state[REACH, i]:
-            state[CORE, i] += CORE_STEP_PX if away > state[CORE, i] else -CORE_STEP_PX
+        reach = state[REACH, i]
+        within = np.float64(away2 <= reach * reach)
+        beyond = np.float64(away2 > median * abs(median))
+        state[CORE, i] = median + within * (2.0 * beyond - 1.0) * CORE_STEP_PX
         times = seen[y, x]
         if times >= PIXEL_LIMIT:
             continue
         seen[y, x] = times + 1
-        half = half_bins(state[REACH, i], counts.shape[2])
+        half = half_bins(reach, counts.shape[2])
         dx = math.floor(zx * BINS_PER_PX) + half
         dy = math.floor(zy * BINS_PER_PX) + half
         counts[i, 0, min(max(dx, 0), 2 * half - 1)] += 1
         counts[i, 1, min(max(dy, 0), 2 * half - 1)] += 1
         heard[EVENTS, i] += 1
-        if times == 0:
-            # The first pixel of a step says nothing: see MIN_PIXELS.
-            heard[PIXELS, i] += heard[FIRST, i]
-            heard[FIRST, i] = 1
+        # The first pixel of a step says nothing: see MIN_PIXELS.
+        heard[PIXELS, i] += heard[FIRST, i] * np.int64(times == 0)
+        heard[FIRST, i] = 1
     for j in range(first_hit, hits):
         seen[y_px[hit[j] - offset], x_px[hit[j] - offset]] = 0
     return hits, off
@@ -256,7 +264,7 @@ def _entry(sources: int) -> Callable[..., tuple[int, int, int]]:
                     paintings += 1
                 hits, missed = look_up(
                     t_us[first:k], x_px[first:k], y_px[first:k], first, begin_us, step_us,
-                    labels, state, heard, counts, hits, hit, hit_label, hit_depth, seen,
+                    labels, state, n, heard, counts, hits, hit, hit_label, hit_depth, seen,
                 )  # fmt: skip
                 off += missed
                 carry(state, n, 0.5 * step_us)

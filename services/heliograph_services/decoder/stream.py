@@ -48,15 +48,16 @@ class EventStream:
     Args:
         first: the message that it begins with.
         window_us: length of a window.
+        beat_us: whole windows; the first begins at a multiple of it.
     """
 
-    def __init__(self, first: Events, window_us: int) -> None:
+    def __init__(self, first: Events, window_us: int, beat_us: int) -> None:
         self.name = first.stream
         self.width = first.width
         self.height = first.height
         self.began_us = first.t0_us
         self.watermark_us = first.t0_us
-        self.now_us = first.t0_us - first.t0_us % window_us
+        self.now_us = first.t0_us - first.t0_us % beat_us
         self._window_us = window_us
         self._waiting: deque[EventBatch] = deque()
 

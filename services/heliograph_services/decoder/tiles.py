@@ -1,6 +1,6 @@
-"""The events of a window near some places, without a look at all the others.
+"""The events of a beat near some places, without a look at all the others.
 
-The sensor is cut into squares of `TILE_PX`; a window's events are sorted by square once, when they are asked for again
+The sensor is cut into squares of `TILE_PX`; a beat's events are sorted by square once, when they are asked for again
 and again. 10 Mev/s of noise are 50,000 events in 5 ms, and a tracker that follows noise has 66 tracks a second
 replayed, each through dozens of windows: a place costs the events of a dozen squares of 1,200.
 """
@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from heliograph.events import EventBatch
+from heliograph.events import EventBatch, concatenate
 from heliograph_services.decoder.region_state import kernel
 
 Order = npt.NDArray[np.int32]
@@ -27,16 +27,16 @@ WHOLE_LOOKS: Final = 4
 
 
 class Tiles:
-    """A window's events, (m,), by square.
+    """A beat's events, (m,), by square.
 
     Args:
-        batch: the events.
+        windows: its events, window by window; put together when they are asked for.
         width: of the sensor, px.
         height: of the sensor, px.
     """
 
-    def __init__(self, batch: EventBatch, width: int, height: int) -> None:
-        self._batch = batch
+    def __init__(self, windows: list[EventBatch], width: int, height: int) -> None:
+        self._windows = windows
         self._size = (width, height)
         self._index: tuple[Order, Order] | None = None
         self._looks = 0
@@ -46,7 +46,9 @@ class Tiles:
 
         Those off the sensor are in neither, except where all are returned: FEW_EVENTS, or the first WHOLE_LOOKS times.
         """
-        batch = self._batch
+        if len(self._windows) != 1:
+            self._windows = [concatenate(self._windows)]
+        batch = self._windows[0]
         self._looks += 1
         if len(batch) <= FEW_EVENTS or self._looks <= WHOLE_LOOKS:
             return batch, 0

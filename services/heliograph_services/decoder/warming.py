@@ -48,7 +48,7 @@ def warm_all() -> None:
 def _tiles() -> None:
     n = FEW_EVENTS + 1
     dense = EventBatch(np.zeros(n, np.int64), np.zeros(n, np.uint16), np.zeros(n, np.uint16), np.zeros(n, np.bool_))
-    tiles = Tiles(dense, 16, 16)
+    tiles = Tiles([dense], 16, 16)
     for _ in range(WHOLE_LOOKS + 1):
         tiles.near(*np.zeros((3, 1)))
 

@@ -1,0 +1,138 @@
+"""Whose receivers are fed at the end of a window, and with what.
+
+A window is short (1 ms), so that what a frame's last events decide is published at once; but a receiver has something
+to decide once a frame only. A *beat* is some windows long (5 ms, on the absolute grid). A track's events wait until
+
+- its own time has come: a receiver that is being read says from when on it may decide something
+  (`heliograph_services.decoder.links.TrackLinks.due_us`);
+- a beat ends, the track has heard something within the last `AWAKE_US`, and does not know its time, or has waited for
+  `WAIT_US`;
+- a beat ends at which all are asked: the records of the grid are due, or the stream is over.
+
+A track that has never heard anything is never fed. So what hears nothing costs next to nothing, and since the times do
+not depend on how events are cut into messages, neither do the results.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from heliograph.events import Flags, Times
+from heliograph_services.decoder.region_state import NEVER, Depths, Ints
+from heliograph_services.decoder.regions import Routed
+
+# A frame of 20 bits at 50 bit/s takes 400 ms, and may be dark for most of it.
+AWAKE_US: Final = 450_000
+# Of a beat. Receivers that look for a clock are fed so often; half of that would double what clutter costs.
+BEAT_US: Final = 5_000
+# What is due only later is fed then; but the events of slow links are not kept for longer, and a status is no older.
+WAIT_US: Final = 20_000
+NEVER_DUE_US: Final = 2**60
+# Forgetting costs a look at each track that waits.
+WINDOWS_KEPT: Final = 20
+
+Piece = tuple[Times, Flags, Depths]
+
+
+def beat_us(window_us: int, *grids_us: int) -> int:
+    """Return the longest beat of whole windows, no longer than BEAT_US, that all grids are multiples of.
+
+    A window that is longer itself is a beat.
+    """
+    whole = int(np.gcd.reduce(np.array(grids_us, np.int64)))
+    fitting = [n * window_us for n in range(1, BEAT_US // window_us + 1) if whole % (n * window_us) == 0]
+    return max(fitting, default=window_us)
+
+
+class Feeding:
+    """What the last windows held for each track, in the order of the tracks.
+
+    Args:
+        capacity: the most tracks there may be.
+    """
+
+    def __init__(self, capacity: int) -> None:
+        self.n = 0
+        self._windows: list[Routed] = []
+        self._taken: list[int] = []  # how many of them a track has been fed
+        self._left: list[list[Piece]] = []  # of windows that are not there any more
+        self._due_us: Ints = np.zeros(capacity, np.int64)
+        self._heard_us: Ints = np.zeros(capacity, np.int64)  # end of the last window in which it heard something
+        self._fed_us: Ints = np.zeros(capacity, np.int64)
+
+    def keep(self, kept: list[int]) -> None:
+        """Keep these tracks alone, in this order."""
+        if kept == list(range(self.n)):
+            return
+        self._drain()
+        m = len(kept)
+        for row in (self._due_us, self._heard_us, self._fed_us):
+            row[:m] = row[kept]
+        self._left = [self._left[i] for i in kept]
+        self._taken = [0] * m
+        self.n = m
+
+    def append(self, now_us: int, heard: list[bool], due_us: list[int]) -> None:
+        """Add tracks that have been fed up to now_us: whether each has heard something so far, and when it is due."""
+        k = len(heard)
+        self._heard_us[self.n : self.n + k] = np.where(heard, now_us, NEVER)
+        self._due_us[self.n : self.n + k] = due_us
+        self._fed_us[self.n : self.n + k] = now_us
+        self._taken += [len(self._windows)] * k
+        self._left += [[] for _ in range(k)]
+        self.n += k
+
+    def note(self, routed: Routed, t1_us: int) -> None:
+        """Take what a window that ends at t1_us holds."""
+        self._windows.append(routed)
+        starts = routed.starts
+        self._heard_us[: self.n][starts[1:] > starts[:-1]] = t1_us
+
+    def whom(self, t1_us: int, *, beat: bool, every: bool) -> list[int]:
+        """Return the tracks to be fed at t1_us; see the module."""
+        n = self.n
+        wanted = self._due_us[:n] <= t1_us
+        if beat and every:
+            wanted |= self._heard_us[:n] != NEVER
+        elif beat:
+            late = (self._due_us[:n] >= NEVER_DUE_US) | (self._fed_us[:n] <= t1_us - WAIT_US)
+            wanted |= late & (self._heard_us[:n] >= t1_us - AWAKE_US)
+        found: list[int] = wanted.nonzero()[0].tolist()
+        return found
+
+    def take(self, i: int) -> Piece:
+        """Return what track i has not been fed yet."""
+        first, self._taken[i] = self._taken[i], len(self._windows)
+        if not self._left[i] and len(self._windows) == first + 1:
+            return self._windows[first].of(i)
+        pieces = self._left[i] + [window.of(i) for window in self._windows[first:]]
+        self._left[i] = []
+        if len(pieces) == 1:
+            return pieces[0]
+        if not pieces:
+            return _NOTHING
+        t_us, on, depth = zip(*pieces, strict=True)
+        return np.concatenate(t_us), np.concatenate(on), np.concatenate(depth)
+
+    def fed(self, i: int, now_us: int, due_us: int) -> None:
+        """Note that track i has been fed up to now_us, and when it is due again."""
+        self._fed_us[i] = now_us
+        self._due_us[i] = due_us
+
+    def end_beat(self) -> None:
+        """Forget windows that nobody waits for any more; what waits is kept by track."""
+        if len(self._windows) >= WINDOWS_KEPT:
+            self._drain()
+
+    def _drain(self) -> None:
+        unfed: list[int] = (self._heard_us[: self.n] > self._fed_us[: self.n]).nonzero()[0].tolist()
+        for i in unfed:
+            pieces = [window.of(i) for window in self._windows[self._taken[i] :]]
+            self._left[i] += [piece for piece in pieces if len(piece[0])]
+        self._taken = [0] * self.n
+        self._windows.clear()
+
+
+_NOTHING: Final[Piece] = (np.empty(0, np.int64), np.empty(0, np.bool_), np.empty(0, np.uint8))
