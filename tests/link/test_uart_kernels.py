@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from heliograph.link.step_response import SUB_BINS, StepResponse, cold_rates
+from heliograph.link.step_response import CHANGE_AT, SUB_BINS, StepResponse, cold_rates
 from heliograph.link.sub_bins import LEAD_BINS, QUIET_BINS, SubBins
 from heliograph.link.uart_layout import CONTEXTS, IDLE_CONTEXT, character_bits
 from heliograph.link.uart_lock import LOCK_BINS, lock
@@ -41,7 +41,7 @@ def ideal(bits: list[int]) -> np.ndarray[tuple[int, int], np.dtype[np.int32]]:
     counts = np.zeros((len(bits) * SUB_BINS, 2), np.int32)
     for n, (old, new) in enumerate(zip([1, *bits], bits, strict=False)):
         if old != new:
-            counts[n * SUB_BINS + 1, 1 - new] = 10
+            counts[n * SUB_BINS + CHANGE_AT + 1, 1 - new] = 10
     return counts
 
 
@@ -93,9 +93,11 @@ def test_learning_reproduces_the_means_of_what_was_seen() -> None:
 def test_the_cold_response_sheds_a_changes_events_over_the_bits_that_follow() -> None:
     rates = cold_rates(100.0)
     first, second = rates[0, 0b00001].sum(), rates[0, 0b00011].sum()
-    assert first == pytest.approx(100 * (1 - np.exp(-1)), rel=0.01)
-    assert second / first == pytest.approx(np.exp(-1), rel=0.01)
-    assert rates[1, 0b00001].sum() == 0.0
+    left = np.exp(CHANGE_AT / SUB_BINS - 1)  # of what a change sheds, after the bit that it is in
+    assert first == pytest.approx(100 * (1 - left), rel=0.01)
+    assert second == pytest.approx(100 * left * (1 - np.exp(-1)), rel=0.01)
+    assert rates[1, 0b00001, CHANGE_AT:].sum() == 0.0  # before the change, it is dark for at least four bits
+    assert rates[1, 0b00001, :CHANGE_AT].sum() < 100 * np.exp(-4)
 
 
 def test_a_cold_start_finds_text_and_its_clock_but_none_in_noise() -> None:

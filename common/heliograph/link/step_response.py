@@ -10,6 +10,12 @@ variance F times too large. So the log-likelihood of a bit is the quasi-Poisson 
 
     l(c) = 1/F sum_j sum_q ( y[q, j] ln lambda[q, c, j] - lambda[q, c, j] )
 
+F is measured on decided bits, in two ways, of which the larger counts: by the events of whole bits (too many or too few
+of an edge), and by those of quarters of a bit (an edge that comes early or late as a whole, so that its events do not
+err one by one)::
+
+    F = max( mean (y - lambda)^2 / lambda  of bits,  the same of quarters )
+
 A table in place of one kernel that is shifted and added: the real response is not linear (a pixel that has just fired
 is refractory, the read-out saturates), and each polarity's own delay is in the table by itself.
 
@@ -37,6 +43,10 @@ Tables = tuple[Table, Table, Table, Table]
 
 SUB_BINS: Final = 16  # sub-bins a bit: finer ones read no better, and each halving doubles the work
 
+# Where in its bit's sub-bins a change of level is, before anything is learned: in the middle, so that edges that come
+# early or late stay in the bit that tells of them.
+CHANGE_AT: Final = SUB_BINS // 4
+
 # Tail of the response assumed before anything is learned, in bits. Read from the start, .6 takes a space for a 0 where
 # the tail is long; 1.0 reads slow LEDs and, since only the order of the bits' likelihoods matters, sharp ones too.
 COLD_TAIL_BITS: Final = 1.0
@@ -55,6 +65,8 @@ SMOOTHING: Final = 4
 # (real sensors: F = 3 to 30 at 200 events a change); and how many bits this guess weighs.
 COLD_WITNESSES: Final = 10.0
 COLD_F_BITS: Final = 44.0
+# Parts of a bit in which events are too many or too few where an edge comes early or late.
+PARTS: Final = 4
 F_MAX: Final = 400.0
 # Of the mean change's events, the least that a kind of change (after one bit or after more, on or off) must show.
 # The recordings: .76 and more; synthetic light with few events: .65.
@@ -73,14 +85,15 @@ def cold_rates(events_per_transition: float) -> Table:
 def _cold_tails() -> Table:
     """Return `cold_rates` for one event a transition."""
     rates = np.zeros((2, CONTEXTS, SUB_BINS))
-    at = (np.arange(SUB_BINS) + 0.5) / SUB_BINS
+    at = (np.arange(SUB_BINS) + 0.5 - CHANGE_AT) / SUB_BINS
     for context in range(CONTEXTS):
-        level = context & 1
-        age = 0  # whole bits since the last change, as far as the context reaches
-        while age < CONTEXT_BITS - 1 and (context >> (age + 1)) & 1 == level:
-            age += 1
-        tail = np.exp(-(at + age) / COLD_TAIL_BITS) / COLD_TAIL_BITS / SUB_BINS
-        rates[0 if level else 1, context] = tail
+        for newest, own in ((0, at >= 0.0), (1, at < 0.0)):
+            level = (context >> newest) & 1
+            age = 0  # whole bits since the last change, as far as the context reaches
+            while age + newest < CONTEXT_BITS - 1 and (context >> (age + newest + 1)) & 1 == level:
+                age += 1
+            tail = np.exp(-(at[own] + newest + age) / COLD_TAIL_BITS) / COLD_TAIL_BITS / SUB_BINS
+            rates[0 if level else 1, context, own] = tail
     return rates
 
 
@@ -156,21 +169,27 @@ def _learn(
 
 @numba.njit(cache=True, nogil=True)
 def _residual(
-    counts: Counts, start: int, slots: npt.NDArray[np.int64], word: int, before: int, total: Table, f: float
-) -> float:
-    """Return the summed Pearson residuals (y - lambda)^2 / lambda of a decided word's bits."""
+    counts: Counts, start: int, slots: npt.NDArray[np.int64], word: int, before: int, rate: Table, f: float
+) -> tuple[float, float]:
+    """Return a decided word's summed Pearson residuals (y - lambda)^2 / lambda: of bits, and (mean) of their parts."""
     context = before
     bits = slots.shape[0]
-    residual = 0.0
+    whole, parts = 0.0, 0.0
+    part = SUB_BINS // PARTS
     for n in range(bits):
-        context = ((context << 1) | ((word >> (bits - 1 - n)) & 1)) & (total.shape[0] - 1)
+        context = ((context << 1) | ((word >> (bits - 1 - n)) & 1)) & (rate.shape[1] - 1)
         at = start + slots[n]
-        y = 0.0
-        for j in range(SUB_BINS):
-            y += counts[at + j, 0] + counts[at + j, 1]
-        expected = total[context] * f
-        residual += (y - expected) ** 2 / expected
-    return residual
+        y_bit, expected_bit = 0.0, 0.0
+        for i in range(PARTS):
+            y, expected = 0.0, 0.0
+            for j in range(i * part, (i + 1) * part):
+                y += counts[at + j, 0] + counts[at + j, 1]
+                expected += rate[j, context] * f
+            y_bit += y
+            expected_bit += expected
+            parts += (y - expected) ** 2 / expected / PARTS
+        whole += (y_bit - expected_bit) ** 2 / expected_bit
+    return whole, parts
 
 
 class StepResponse:
@@ -194,6 +213,7 @@ class StepResponse:
         self._shrink = shrink_bits
         self._sums = np.zeros((2, CONTEXTS, SUB_BINS))
         self._residual = self.f * COLD_F_BITS
+        self._displaced = self._residual
         self._residual_bits = COLD_F_BITS
         self.refresh()
 
@@ -216,7 +236,9 @@ class StepResponse:
 
     def measure(self, counts: Counts, start: int, slots: npt.NDArray[np.int64], word: int, before: int) -> None:
         """Measure the overdispersion on a decided word (arguments as in `learn`); `refresh` uses it."""
-        self._residual += _residual(counts, start, slots, word, before, self.total, self.f)
+        whole, parts = _residual(counts, start, slots, word, before, self.rate, self.f)
+        self._residual += whole
+        self._displaced += parts
         self._residual_bits += len(slots)
 
     def forget(self) -> None:
@@ -224,11 +246,12 @@ class StepResponse:
         self._seen *= FORGET
         self._sums *= FORGET
         self._residual *= FORGET
+        self._displaced *= FORGET
         self._residual_bits *= FORGET
 
     def refresh(self) -> None:
         """Bring the tables up to what has been learned."""
-        self.f = min(max(self._residual / self._residual_bits, 1.0), F_MAX)
+        self.f = min(max(max(self._residual, self._displaced) / self._residual_bits, 1.0), F_MAX)
         _log_tables(
             self._seen, self._sums, self._cold, self._shrink, self._floor, self.f, self.log_rate, self.rate, self.total
         )

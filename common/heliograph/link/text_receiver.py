@@ -14,7 +14,7 @@ import numpy as np
 from heliograph.errors import Refusals
 from heliograph.events import Flags, Times
 from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Text, Verdict, edges_of
-from heliograph.link.step_response import SUB_BINS
+from heliograph.link.step_response import CHANGE_AT, SUB_BINS
 from heliograph.link.sub_bins import SubBins
 from heliograph.link.text_identity import TextIdentity
 from heliograph.link.uart_follow import Decision, Follower
@@ -154,7 +154,7 @@ class TextReceiver:
         decision = follower.step(self._bins.counts, self._bins.base)
         if decision is None:
             return
-        end_us = self._bins.time_us(decision.end)
+        end_us = self._bins.time_us(decision.end + CHANGE_AT)
         self._recent.append((end_us, decision))
         out.extend(self._identity.take(decision, end_us))
         if self._identity.accepted:
