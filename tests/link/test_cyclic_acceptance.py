@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from math import comb
+from math import comb, log
 
 import numpy as np
 import pytest
 
-from heliograph.link.acceptance import CHANCE, Acceptance, Place, frames_needed
+from heliograph.link.acceptance import CHANCE, MISSING, Acceptance, Evidence, Place, evidence_of, frames_needed
 from heliograph.link.codebook import load
 from heliograph.link.contract import LinkFrame
-from heliograph.link.frames import CyclicCode, seed11_code
+from heliograph.link.frames import CyclicCode, bits_of, seed11_code
+from heliograph.link.likelihood import BEST, OTHER, SCORE, VERDICT_FIELDS, decide, slot
 from heliograph.link.paper import Score
 
 FRAME_US = 11_000
@@ -19,8 +20,8 @@ FRAME_US = 11_000
 class Track:
     """Frames at their places, 11 bits of 1 ms each."""
 
-    def __init__(self) -> None:
-        self.acceptance = Acceptance(4, 11, 1000.0)
+    def __init__(self, evidence: Evidence | None = None) -> None:
+        self.acceptance = Acceptance(4, 11, 1000.0, evidence)
         self.slot = 11
 
     def sends(self, *payloads: int | None, lock: int = 1, score: float = 0.9) -> list[bool]:
@@ -79,6 +80,57 @@ def test_a_frame_of_another_payload_breaks_the_row_and_a_lost_one_does_not() -> 
     spread = Track()
     spread.sends(42, None, 42, None, 42, None, None, None, 42)
     assert spread.payload is None
+
+
+CODES = [seed11_code(), load("code18d4").code(), load("code20d4").code()]
+CLEAR, DOUBTFUL = 0.996, 0.6
+
+
+@pytest.mark.parametrize("code", CODES, ids=lambda code: code.name)
+def test_clear_frames_are_evidence_enough_as_soon_as_there_are_as_many_as_needed(code: CyclicCode) -> None:
+    evidence = evidence_of(code)
+    # A clear frame: all 2^n words but its own are out of the question.
+    odds = 2.0**code.bits / len(code.words) * (1.0 - OTHER) / OTHER
+    assert evidence.of(odds / (1.0 + odds)) == pytest.approx(evidence.most)
+    assert frames_needed(code) * (0.97 * evidence.most + log(1.0 - MISSING)) > evidence.needed
+
+
+def test_weak_frames_must_be_more_and_lost_ones_count_against_them() -> None:
+    evidence = evidence_of(seed11_code())
+    for frames, score, payload in (
+        ([42] * 4, CLEAR, 42),
+        ([42, None, 42, 42, 42], CLEAR, 42),
+        ([42, None, 42, None, 42, 42], CLEAR, None),
+        ([42, None, 42, None, 42, 42, 42], CLEAR, 42),
+        ([42] * 12, DOUBTFUL, None),
+        ([42] * 14, DOUBTFUL, 42),
+        ([42, None, None] * 100, DOUBTFUL, None),
+    ):
+        track = Track(evidence)
+        track.sends(*frames, score=score)
+        assert track.payload == payload, (frames, score)
+
+
+@pytest.mark.parametrize("events", [1.0, 3.0, 20.0])
+def test_random_bits_bear_no_more_evidence_than_chance_however_weak_the_light(events: float) -> None:
+    code, rng, n = seed11_code(), np.random.default_rng(5), 11
+    words = np.array([bits_of(word, n) for word in code.words], np.uint8)
+    evidence = evidence_of(code)
+    levels = rng.integers(0, 2, 30_000)
+    mean = np.full((4, 2), 0.3)
+    mean[1, 1] += events
+    mean[2, 0] += events
+    seen = rng.poisson(mean[2 * levels[:-1] + levels[1:]])
+    ring = np.empty((len(seen), 4))
+    for row, counts in zip(ring, seen, strict=True):
+        slot(np.asarray((counts * np.log(mean) - mean).sum(axis=1)), row)
+    verdict, worth = np.empty(VERDICT_FIELDS), np.zeros(len(code.words))
+    windows = len(ring) - n
+    for first in range(windows):
+        decide(ring, first, words, 0.5, verdict)
+        worth[int(verdict[BEST])] += np.exp(evidence.of(float(verdict[SCORE])))
+    # The mean of L(w) / Z is 1 for each word, whether it is the best or not.
+    assert worth.sum() / windows / len(code.words) < 1.05
 
 
 def test_frames_at_another_bit_position_or_of_another_lock_are_no_row() -> None:

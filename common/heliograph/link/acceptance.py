@@ -1,8 +1,8 @@
 """When frames are an identity, and what a track is: new, valid or invalid.
 
-Identity. It takes k equal frames, none of another payload between them, within SPAN k frame lengths and a whole number
-of frames apart. Chance that random bits at the right rate do this, a bit position, with W words of n bits and t errors
-corrected (s = 1 + n if t = 1, else 1)::
+Identity. It takes k equal frames, none of another payload between them, a whole number of frames apart and, where no
+evidence is weighed (below), within SPAN k - 1 frame lengths. Chance that random bits at the right rate do this, a bit
+position, with W words of n bits and t errors corrected (s = 1 + n if t = 1, else 1)::
 
     W s / 2^n * (s / 2^n)^(k-1) * binomial(2k - 1, k - 1)
 
@@ -10,8 +10,23 @@ corrected (s = 1 + n if t = 1, else 1)::
     code18d4  W 169, s 19, k 3: 169 19/2^18 (19/2^18)^2 * 10    = 6.4e-10, k 4: 1.6e-13
     code20d4  W 522, s 21, k 3: 522 21/2^20 (21/2^20)^2 * 10    = 4.2e-11
 
-k is the least for which it stays below 1e-10 (seed11 four, code18d4 four, code20d4 three). A new payload must do the
-same to replace the old one, with no frame below SURE; until then its frames count as PAYLOAD_CHANGED.
+k is the least for which it stays below 1e-10 (seed11 four, code18d4 four, code20d4 three). That counts clear bits.
+Where light is weak a likely word beats the true bits: of random bits seen with three events a change one window in nine
+passes for a word of seed11, not one in 43, and four equal ones come hundreds of times as often. So a row of a cyclic
+code must also be evidence enough, against random bits. A frame of score s bears witness of, in the terms of
+`heliograph.link.likelihood`::
+
+    e = ln (L(w) / Z) >= ln(s / (1 - s)) + ln(W OTHER / (1 - OTHER))        at most n ln 2
+
+    A <- max(A + g ln MISSING, 0) + e + ln(1 - MISSING)        g frames were lost since the row's last frame
+    A >= ln(W / 1e-10)
+
+Over random bits, however weak, the mean of L(w) / Z is 1 for each w, so exp A, begun at any place, is a non-negative
+supermartingale: it ever exceeds W / 1e-10 for one of W words with a chance of at most 1e-10 (Ville's inequality). Of
+clear frames it takes the same four, one lost between them or none: 4 (7.6 - .3) - 1.4 = 27.9 of 26.9 nats.
+
+A new payload must do the same to replace the old one, with no frame below SURE; until then its frames count as
+PAYLOAD_CHANGED.
 
 Status, the paper's Algorithm 1: score +2 for a frame of the candidate (the first payload seen; the accepted one, once
 there is one), -1 for a refused frame; valid at SCORE_MAX, invalid at 0 or below, which forgets identity and candidate.
@@ -25,11 +40,12 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from math import comb
+from math import comb, log
 from typing import Final
 
 from heliograph.link.contract import Identity, LinkFrame, Verdict
 from heliograph.link.frames import CyclicCode
+from heliograph.link.likelihood import OTHER
 from heliograph.units import US_PER_S
 
 # Chance of a false identity in random bits, a bit position: at 5 kbit/s once in 23 days of one blinker.
@@ -64,6 +80,39 @@ def frames_needed(code: CyclicCode) -> int:
     return k
 
 
+# A frame in four lost: at less, a row of weak light has no hole; at more, four clear frames are no longer enough.
+MISSING: Final = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What frames of a cyclic code are worth against random bits, in nats (see the module).
+
+    Args:
+        at_even: of a frame of score 1/2.
+        most: of any frame.
+        needed: of a row.
+    """
+
+    at_even: float
+    most: float
+    needed: float
+
+    def of(self, score: float) -> float:
+        """Return what a frame of this score bears witness of."""
+        return self.most if score >= 1.0 else min(self.at_even + log(score / (1.0 - score)), self.most)
+
+
+def evidence_of(code: CyclicCode) -> Evidence:
+    """Return what frames of the code are worth."""
+    words = len(code.words)
+    return Evidence(
+        at_even=log(words * OTHER / (1.0 - OTHER)),
+        most=code.bits * log(2.0),
+        needed=log((words - len(code.twins)) / CHANCE),
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Place:
     """Where a frame lies: the lock of the clock under which it was read, and its last slot, counted from that lock."""
@@ -79,10 +128,13 @@ class Acceptance:
         needed: equal frames that make an identity.
         bits: of a frame.
         bit_rate: nominal bits a second.
+        evidence: of a cyclic code's frames; None where equal frames within the span are enough.
     """
 
-    def __init__(self, needed: int, bits: int, bit_rate: float) -> None:
+    def __init__(self, needed: int, bits: int, bit_rate: float, evidence: Evidence | None = None) -> None:
         self._needed = needed
+        self._evidence = evidence
+        self._nats = 0.0
         self._bits = bits
         frame_us = bits * US_PER_S / bit_rate
         self._delay_valid_us = max(DELAY_VALID_US, DELAY_FRAMES * frame_us)
@@ -113,13 +165,11 @@ class Acceptance:
             self._candidate = frame.payload
         other = 0 if known is not None else GAIN_OTHER
         self._move(GAIN if frame.payload == self._candidate else other)
-        if self._row and not self._continues(frame, place):
-            self._row.clear()
-        self._row.append((frame, place))
+        self._append(frame, place)
         if known is not None and known.payload == frame.payload:
             self._support(known, frame)
             return False
-        if len(self._row) == self._needed and self._span(place) <= SPAN * self._needed - 1:
+        if len(self._row) == self._needed and self._enough(place):
             frames = [each for each, _ in self._row]
             if known is not None and min(each.score for each in frames) < SURE:
                 return True
@@ -162,9 +212,24 @@ class Acceptance:
         same = before.payload == frame.payload and at.lock == place.lock
         return same and (place.slot - at.slot) % self._bits == 0
 
-    def _span(self, place: Place) -> int:
-        """Return how many frame lengths the row is long."""
-        return (place.slot - self._row[0][1].slot) // self._bits
+    def _append(self, frame: LinkFrame, place: Place) -> None:
+        """Go on with the row, or begin it anew."""
+        if self._row and not self._continues(frame, place):
+            self._row.clear()
+        if self._row:
+            lost = (place.slot - self._row[-1][1].slot) // self._bits - 1
+            self._nats += lost * log(MISSING)
+        if not self._row or self._nats <= 0.0:
+            self._nats = 0.0
+        if self._evidence is not None:
+            self._nats += self._evidence.of(frame.score) + log(1.0 - MISSING)
+        self._row.append((frame, place))
+
+    def _enough(self, place: Place) -> bool:
+        """Return whether as many equal frames as are needed, the newest at this place, are an identity."""
+        if self._evidence is not None:
+            return self._nats >= self._evidence.needed
+        return (place.slot - self._row[0][1].slot) // self._bits <= SPAN * self._needed - 1
 
     def _support(self, known: Identity, frame: LinkFrame) -> None:
         frames = [each for each, _ in self._row]

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from heliograph.errors import Refusal, Refusals
 from heliograph.events import Flags, Times
 from heliograph.link import clock, demodulator, level, state, trial
-from heliograph.link.acceptance import Acceptance, Place, frames_needed
+from heliograph.link.acceptance import Acceptance, Place, evidence_of, frames_needed
 from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Text, Verdict
 from heliograph.link.frames import CyclicCode, bits_of, seed11_code
 from heliograph.units import US_PER_S, bit_us
@@ -58,7 +58,7 @@ class CyclicReceiver:
             self._refused_payloads |= dict.fromkeys(code.periodic - code.twins.keys(), Refusal.PERIODIC)
         self._known = frozenset(code.words)
         self._needed = frames_needed(code)
-        self._acceptance = Acceptance(self._needed, code.bits, bit_rate)
+        self._acceptance = Acceptance(self._needed, code.bits, bit_rate, evidence_of(code))
         self._state = state.new_state(code)
         self._origin_us: int | None = None  # of the lock; None while there is no clock
         self._locks = 0
