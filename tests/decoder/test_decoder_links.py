@@ -14,6 +14,7 @@ from heliograph_services.decoder.config import DecoderConfig
 from heliograph_services.decoder.core import DecoderCore
 from heliograph_services.decoder.link_plan import LinkPlan
 from heliograph_services.decoder.links import TrackLinks
+from heliograph_services.decoder.routing import HEART_OF
 from support.blinkers import FRAME_US, Disc, PulseReceiver, messages, pulse_only, scene, still, tracks
 from support.decoding import CRANE, HEIGHT, LIVE, WIDTH, core, run, states
 
@@ -213,7 +214,17 @@ def test_fast_links_hear_the_core_slow_ones_the_heart_those_between_the_whole(
 
 
 def test_the_papers_receiver_hears_the_whole_at_every_rate() -> None:
-    listed = [Beacon(name=f"b{rate}", protocol="seed11", payload=42, bit_rate=rate) for rate in (50, 1_000, 4_000)]
+    listed = [Beacon(name=f"b{rate}", protocol="seed11", payload=42, bit_rate=rate) for rate in (50, 2_000, 4_000)]
     ours, papers = (LinkPlan(DecoderConfig(beacons=tuple(listed), receiver=name)) for name in ("default", "paper"))
     assert [ours.depth(i, row.key.bit_rate or 0.0) > 0 for i, row in enumerate(ours.rows)] == [True, False, True]
     assert [papers.depth(i, row.key.bit_rate or 0.0) for i, row in enumerate(papers.rows)] == [0, 0, 0]
+
+
+def test_slow_words_hear_the_heart_and_slow_pulses_the_whole() -> None:
+    listed = [
+        Beacon(name="word", protocol="seed11", payload=42, bit_rate=1_000),
+        Beacon(name="pulse", protocol="pulse_interval", payload=42, bit_rate=1_000),
+        Beacon(name="slow-pulse", protocol="pulse_interval", payload=42, bit_rate=100),
+    ]
+    plan = LinkPlan(DecoderConfig(beacons=tuple(listed)))
+    assert [plan.depth(i, row.key.bit_rate or 0.0) for i, row in enumerate(plan.rows)] == [HEART_OF, 0, HEART_OF]

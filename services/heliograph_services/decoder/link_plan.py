@@ -4,9 +4,10 @@ A *link* is what a receiver must know beforehand: protocol, bit rate, options. L
 without one, the settings do: one protocol or all, at one bit rate or at one that is measured.
 
 Fast links (core_bit_rate and more) hear the core of the track's image alone (heliograph_services.decoder.routing): the
-halo's edges come late, by a share of the bit that breaks the lock. Slow ones (heart_bit_rate and
-less) hear its heart, where a lit target makes few events by moving; at 50 bit/s its motion drowns its edges. Those
-between hear the whole: it is the number of events, and their spread over the scans of a slow sensor, that tell there.
+halo's edges come late, by a share of the bit that breaks the lock. Slow ones (heart_bit_rate and less) hear its heart,
+where a lit target makes few events by moving; at 50 bit/s its motion drowns its edges. Those between hear the whole: it
+is the number of events, and their spread over the scans of a slow sensor, that tell there. Protocols that live on few
+and sharp edges (pulses, gaps, packets of words all over the band) hear the whole sooner, from `SHARP_BIT_RATE` on.
 """
 
 from __future__ import annotations
@@ -27,6 +28,10 @@ from heliograph_services.decoder.routing import CORE_OF, HEART_OF
 # The longest frame of the stored codes (20 bits) and of text (11) is shorter; only the loss of slow links heeds it.
 FRAME_BITS: Final = 20
 LOSS_FRAMES: Final = 5
+# Words of lit and dark bits, which a moving light's own events can be taken for.
+OF_LEVELS: Final = frozenset({"seed11", "code", "uart"})
+# At 1 kbit/s and 160 px/s pulse_interval reads 1.00 with the whole image and .44 with its heart, packet 1.00 and .21.
+SHARP_BIT_RATE: Final = 100.0
 
 Options = tuple[tuple[str, str | int], ...]
 ModulationOf = Callable[..., Modulation]
@@ -119,7 +124,8 @@ class LinkPlan:
         """
         if self.rows[link].receiver != "default":
             return 0
-        if bit_rate <= self._heart_bit_rate:
+        sharp = self.protocol(link) not in OF_LEVELS
+        if bit_rate <= (min(self._heart_bit_rate, SHARP_BIT_RATE) if sharp else self._heart_bit_rate):
             return HEART_OF
         return CORE_OF if bit_rate >= self._core_bit_rate else 0
 
