@@ -18,18 +18,24 @@ import msgspec
 
 from heliograph.core import Core
 from heliograph.errors import ConfigError, FileError, by_name
+from heliograph.link.modulations import LISTED_ONLY
 from heliograph.messages import Frames, Identification, Message, Tracks
 from heliograph.shell.config import resolve
 from heliograph.shell.site import ServiceEntry, Site, load_site
 from heliograph.streams import Events
+from heliograph.units import BIT_RATE_MAX, BIT_RATE_MIN
 from heliograph_services.cli.lines import dump, for_people, lines_of
 from heliograph_services.cli.pipeline import ONE_PROCESS, Pipeline
 from heliograph_services.cli.services import config_type
+from heliograph_services.decoder.config import AUTO, DecoderConfig
 
 ConfigT = TypeVar("ConfigT", bound=msgspec.Struct)
 # The window of a step; larger ones save overhead, and the result does not depend on it.
 _WINDOW_US: Final = 10_000
 _COLUMNS: Final = 80  # of a terminal
+# Each bit must be seen whole by one image at least, wherever the images lie: the paper's 250 bit/s at 200 images a
+# second want a camera that is synchronised.
+SCANS_A_BIT: Final = 2.0
 
 
 def parser() -> argparse.ArgumentParser:
@@ -95,27 +101,64 @@ def build(arguments: argparse.Namespace) -> tuple[Any, Pipeline, list[Core]]:
     # Not at the top: numba takes most of a second that a wrong argument need not pay.
     from heliograph_services.decoder import core as decoder  # noqa: PLC0415
     from heliograph_services.decoder.__main__ import SERVICE as DECODER  # noqa: PLC0415
-    from heliograph_services.event_source.cameras.image_file import holds_images  # noqa: PLC0415
+    from heliograph_services.event_source.cameras.image_file import holds_images, images_hz  # noqa: PLC0415
     from heliograph_services.event_source.stream import open_stream  # noqa: PLC0415
     from heliograph_services.tracker import core as tracker  # noqa: PLC0415
 
     site = load_site(arguments.site) if arguments.site else Site(path="flags")
     camera = arguments.camera or _only_camera(site)
     source_given = {"file": arguments.file, "width": arguments.width, "height": arguments.height}
-    backend = "images" if holds_images(Path(arguments.file)) else "recording"
+    images = holds_images(Path(arguments.file))
+    backend = "images" if images else "recording"
     source_given |= {"format": arguments.format, "backend": backend, "window_us": _WINDOW_US, "loop": False}
     source_config = _settings("event_source", site, camera, source_given)
     tracker_config = _settings("tracker", site, camera, {})
-    decoder_given: dict[str, Any] = {"receiver": arguments.receiver, "camera_file": arguments.camera_file}
-    if arguments.protocol is not None or arguments.bit_rate is not None or arguments.option:
-        decoder_given |= {"protocol": arguments.protocol, "bit_rate": _bit_rate(arguments.bit_rate)}
-        decoder_given |= {"options": _options(arguments.option)}
-    decoder_config = _settings("decoder", site, camera, decoder_given)
     stream = open_stream(source_config, ONE_PROCESS)
+    decoder_given = _decoder_given(arguments)
+    if images:
+        decoder_given["scan_rate_hz"] = images_hz(Path(arguments.file))
+    decoder_config = _settings("decoder", site, camera, decoder_given)
+    for line in _advice(decoder_config):
+        print(f"heliograph decode: {line}", file=sys.stderr)
     tracker.warm()
     decoder.warm()
     cores: list[Core] = [tracker.make_core(tracker_config, ONE_PROCESS), DECODER.make(decoder_config, ONE_PROCESS)]
     return stream, Pipeline(*cores), cores
+
+
+def _decoder_given(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return the settings of the decoder that the command line gives, None for those that it leaves alone."""
+    bit_rate = arguments.bit_rate
+    if bit_rate is None and not arguments.site:
+        # A recording's rate need not be known. A site says its own.
+        bit_rate = AUTO
+    return {
+        "receiver": arguments.receiver,
+        "camera_file": arguments.camera_file,
+        "protocol": arguments.protocol,
+        "bit_rate": _bit_rate(bit_rate),
+        "options": _options(arguments.option),
+    }
+
+
+def _advice(config: DecoderConfig) -> list[str]:
+    """Return what is likely to fail, a line each: bits that are shorter than two images (scans) of the camera."""
+    most = config.scan_rate_hz / SCANS_A_BIT
+    if not most:
+        return []
+    # Frequencies have a rule of their own, which is an error.
+    listed = [
+        (f"beacon {beacon.name}: bit_rate", beacon.bit_rate)
+        for beacon in config.beacons
+        if beacon.protocol not in LISTED_ONLY
+    ]
+    if not config.beacons and not isinstance(config.bit_rate, str) and config.protocol not in LISTED_ONLY:
+        listed = [("bit_rate", config.bit_rate)]
+    return [
+        f"{name} should be at most {most:g} with {config.scan_rate_hz:g} images a second, not {rate:g}"
+        for name, rate in listed
+        if rate > most
+    ]
 
 
 def _only_camera(site: Site) -> str:
@@ -141,9 +184,12 @@ def _bit_rate(text: str | None) -> float | str | None:
     if text is None or text == "auto":
         return text
     try:
-        return float(text)
+        bit_rate = float(text)
     except ValueError:
         raise ConfigError(f"--bit-rate must be a number or auto, not {text!r}") from None
+    if not BIT_RATE_MIN <= bit_rate <= BIT_RATE_MAX:
+        raise ConfigError(f"--bit-rate must be in [{BIT_RATE_MIN:g}, {BIT_RATE_MAX:g}] or auto, not {text}")
+    return bit_rate
 
 
 def _options(pairs: list[str]) -> dict[str, str | int] | None:

@@ -91,6 +91,10 @@ class LinkPlan:
             alike = [(b.name, b.payload, b.bit_rate) for b in config.beacons if b.protocol == row.key.protocol]
             if check is None:
                 continue
+            if not alike and row.key.bit_rate is not None:
+                # Of blinking lights the bit rate is the payload: twice the frequency.
+                hz = round(row.key.bit_rate / 2.0)
+                alike = [(f"{row.key.protocol}:{hz}", hz, 2.0 * hz)]
             try:
                 check(alike, config.scan_rate_hz)
             except ValueError as error:
