@@ -16,6 +16,13 @@ err one by one)::
 
     F = max( mean (y - lambda)^2 / lambda  of bits,  the same of quarters )
 
+A change may also be lost whole, with a share d of them: then its bit looks as if nothing had changed (c~ is c with the
+bit before in place of the bit itself), and its likelihood is
+
+    max( ln(1 - d) + l(c),  ln d + l(c~) )
+
+d is learned too, once text is followed (a cold start believes no change that it does not see).
+
 A table in place of one kernel that is shifted and added: the real response is not linear (a pixel that has just fired
 is refractory, the read-out saturates), and each polarity's own delay is in the table by itself.
 
@@ -37,8 +44,8 @@ from heliograph.link.uart_layout import CONTEXT_BITS, CONTEXTS
 
 Counts = npt.NDArray[np.int32]
 Table = npt.NDArray[np.float64]
-# ln(lambda) / F (2, 16, 32); sum_q lambda / F (16, 32); that summed over sub-bins (32,); and of an LED that has idled
-# for long, (ln(lambda) / F, sum_q lambda / F) of any sub-bin (2,)
+# ln(lambda) / F (2, 16, 32); sum_q lambda / F (16, 32); that summed over sub-bins (32,); and (4,): of an LED that has
+# idled for long, ln(lambda) / F and sum_q lambda / F of any sub-bin; ln d and ln(1 - d), d the share of lost changes
 Tables = tuple[Table, Table, Table, Table]
 
 SUB_BINS: Final = 16  # sub-bins a bit: finer ones read no better, and each halving doubles the work
@@ -67,6 +74,11 @@ COLD_WITNESSES: Final = 10.0
 COLD_F_BITS: Final = 44.0
 # Parts of a bit in which events are too many or too few where an edge comes early or late.
 PARTS: Final = 4
+# Share of changes lost before any was missed, and how many changes that guess weighs; the most that is believed.
+LOST_START: Final = 1e-3
+LOST_WEIGHT: Final = 500.0
+LOST_MAX: Final = 0.2
+NO_LOSS: Final = -1e300
 F_MAX: Final = 400.0
 # Of the mean change's events, the least that a kind of change (after one bit or after more, on or off) must show.
 # The recordings: .76 and more; synthetic light with few events: .65.
@@ -152,6 +164,38 @@ def _log_tables(
 
 
 @numba.njit(cache=True, nogil=True)
+def _lost(counts: Counts, at: int, context: int, tables: Tables) -> bool:
+    """Return whether the change at the beginning of this bit was likelier lost than seen."""
+    log_rate, _, total, rest = tables
+    if rest[2] == NO_LOSS or ((context ^ (context >> 1)) & 1) == 0:
+        return False
+    without = context ^ 1
+    gain = rest[2] - rest[3] + total[context] - total[without]
+    for j in range(log_rate.shape[1]):
+        for q in range(2):
+            if counts[at + j, q]:
+                gain += counts[at + j, q] * (log_rate[q, j, without] - log_rate[q, j, context])
+    return bool(gain > 0.0)
+
+
+@numba.njit(cache=True, nogil=True)
+def _changes(
+    counts: Counts, start: int, slots: npt.NDArray[np.int64], word: int, before: int, tables: Tables
+) -> tuple[int, int, bool]:
+    """Return how many changes a decided word has, how many of them were lost, and whether the last of them was."""
+    context = before
+    bits = slots.shape[0]
+    changes, lost, last = 0, 0, False
+    for n in range(bits):
+        context = ((context << 1) | ((word >> (bits - 1 - n)) & 1)) & (tables[2].shape[0] - 1)
+        if (context ^ (context >> 1)) & 1:
+            last = _lost(counts, start + slots[n], context, tables)
+            changes += 1
+            lost += last
+    return changes, lost, last
+
+
+@numba.njit(cache=True, nogil=True)
 def _learn(
     counts: Counts, start: int, slots: npt.NDArray[np.int64], word: int, before: int, seen: Table, sums: Table
 ) -> None:
@@ -205,13 +249,14 @@ class StepResponse:
         self.log_rate: Table = np.empty((2, SUB_BINS, CONTEXTS))  # ln(lambda) / F
         self.rate: Table = np.empty((SUB_BINS, CONTEXTS))  # sum over polarities of lambda / F
         self.total: Table = np.empty(CONTEXTS)  # sum over a bit's sub-bins of rate
-        self.quiet: Table = np.empty(2)
+        self.rest: Table = np.array([0.0, 0.0, NO_LOSS, 0.0])
         self.f = max(1.0, events_per_transition / COLD_WITNESSES)
         self._cold = cold_rates(events_per_transition)
         self._floor = FLOOR * events_per_transition / SUB_BINS
         self._seen = np.zeros(CONTEXTS)
         self._shrink = shrink_bits
         self._sums = np.zeros((2, CONTEXTS, SUB_BINS))
+        self._changes = np.zeros(2)
         self._residual = self.f * COLD_F_BITS
         self._displaced = self._residual
         self._residual_bits = COLD_F_BITS
@@ -220,7 +265,7 @@ class StepResponse:
     @property
     def tables(self) -> Tables:
         """The tables, as the kernels take them; `refresh` changes them in place."""
-        return self.log_rate, self.rate, self.total, self.quiet
+        return self.log_rate, self.rate, self.total, self.rest
 
     def learn(self, counts: Counts, start: int, slots: npt.NDArray[np.int64], word: int, before: int) -> None:
         """Take in a decided word; call `refresh` to use it.
@@ -241,6 +286,24 @@ class StepResponse:
         self._displaced += parts
         self._residual_bits += len(slots)
 
+    def admit_losses(self) -> None:
+        """Believe from now on that changes may be lost whole; call `refresh` to use it."""
+        self.rest[2] = np.log(LOST_START)
+        self._changes[:] = 0.0
+
+    def changes(
+        self, counts: Counts, start: int, slots: npt.NDArray[np.int64], word: int, before: int
+    ) -> tuple[int, int, bool]:
+        """Return how many changes a word (arguments as in `learn`) has, how many were lost, whether the last was."""
+        changes, lost, last = _changes(counts, start, slots, word, before, self.tables)
+        return changes, lost, bool(last)
+
+    def count(self, counts: Counts, start: int, slots: npt.NDArray[np.int64], word: int, before: int) -> None:
+        """Learn from a decided word (arguments as in `learn`) how many changes are lost; `refresh` uses it."""
+        changes, lost, _ = _changes(counts, start, slots, word, before, self.tables)
+        self._changes *= FORGET
+        self._changes += changes, lost
+
     def forget(self) -> None:
         """Let what was learned fade by one character."""
         self._seen *= FORGET
@@ -255,7 +318,11 @@ class StepResponse:
         _log_tables(
             self._seen, self._sums, self._cold, self._shrink, self._floor, self.f, self.log_rate, self.rate, self.total
         )
-        self.quiet[:] = np.log(self._floor) / self.f, 2.0 * self._floor / self.f
+        self.rest[:2] = np.log(self._floor) / self.f, 2.0 * self._floor / self.f
+        if self.rest[2] != NO_LOSS:
+            lost = float(self._changes[1] + LOST_START * LOST_WEIGHT) / float(self._changes[0] + LOST_WEIGHT)
+            lost = min(lost, LOST_MAX)
+            self.rest[2:] = np.log(lost), np.log(1.0 - lost)
 
     def relearn(self, shrink_bits: float) -> StepResponse:
         """Return an unlearned response that expects as many events: the next round of learning starts from it."""

@@ -42,6 +42,8 @@ SURE_DEFICIT: Final = 8.0
 # What is released although it is no good witness: odds of 7 to 1 among characters, and at most one bit against it.
 RELEASE_MARGIN: Final = 2.0
 RELEASE_DEFICIT: Final = 20.0
+# Of a character's changes of level, the share that events must have told.
+SEEN_LEAST: Final = 2.0 / 3.0
 
 
 class Mode(Enum):
@@ -100,6 +102,8 @@ class Follower:
 
     def __init__(self, found: Lock, start: int) -> None:
         self.response = found.response
+        self.response.admit_losses()
+        self.response.refresh()
         self.position = float(start)
         self.bit_bins = found.bit_bins
         self._slots = slots_of(found.bit_bins)
@@ -151,25 +155,28 @@ class Follower:
         offset, code, likelihood, second, free, word, refined = near(
             counts, start - base, self._reach, self._slots, self._before, self.response.tables
         )
+        seen, unseen = self._seen(counts, start + offset - base, int(WORDS[code]), ahead=deficit_max == np.inf)
         # Where all bits are rather lit, the LED may idle: in weak light DEL is hardly less likely than that.
-        if free - likelihood > deficit_max or (word == ALL_LIT and deficit_max < np.inf):
+        if free - likelihood > deficit_max or ((word == ALL_LIT or unseen) and deficit_max < np.inf):
             self._mode = Mode.SPAN
             if self._reach != REACH:
                 self.position -= SUB_BINS // 2
                 self._reach = REACH
             return None
         margin = likelihood - second
-        good = is_good(likelihood, second, free)
         error = refined + start - self.position
         self._steer(error)
         begin = self.position
         at = round(begin) - base
         events = int(counts[at : at + int(self._slots[-1]) + SUB_BINS].sum())
-        released = good or (margin >= RELEASE_MARGIN and free - likelihood <= RELEASE_DEFICIT)
-        if good:
-            self._learn(counts, at, int(WORDS[code]))
+        good = seen >= SEEN_LEAST and not unseen and is_good(likelihood, second, free)
+        sure = margin >= RELEASE_MARGIN and free - likelihood <= RELEASE_DEFICIT
+        released = good or (seen >= SEEN_LEAST and not unseen and sure)
+        if released:
+            self._learn(counts, at, int(WORDS[code]), good=good and seen == 1.0)
         after_idle = self._after_idle
         self._move(begin + CHARACTER_BITS * self.bit_bins, int(WORDS[code]) & IDLE_CONTEXT)
+        self._level_known = not unseen
         return Decision(
             start=begin,
             end=begin + CHARACTER_BITS * self.bit_bins,
@@ -197,10 +204,24 @@ class Follower:
         self._slots = slots_of(self.bit_bins)
         self.position += K_P * error + K_HOLD * (self.response.change_centre() - self._centre)
 
-    def _learn(self, counts: Counts, at: int, word: int) -> None:
-        self.response.forget()
-        self.response.measure(counts, at, self._slots, word, self._before)
-        self.response.learn(counts, at, self._slots, word, self._before)
+    def _seen(self, counts: Counts, at: int, word: int, *, ahead: bool) -> tuple[float, bool]:
+        """Return the share of a character's changes that were seen, and whether the LED may have gone dark in it.
+
+        Where its last rise was lost, only a fall after the stop bits tells that it was there; `ahead` says that the bit
+        after the character may be looked at.
+        """
+        changes, lost, last = self.response.changes(counts, at, self._slots, word, self._before)
+        if last and ahead:
+            slots = np.append(self._slots, round(CHARACTER_BITS * self.bit_bins))
+            _, _, last = self.response.changes(counts, at, slots, word << 1, self._before)
+        return 1.0 - lost / changes, last
+
+    def _learn(self, counts: Counts, at: int, word: int, *, good: bool) -> None:
+        self.response.count(counts, at, self._slots, word, self._before)
+        if good:
+            self.response.forget()
+            self.response.measure(counts, at, self._slots, word, self._before)
+            self.response.learn(counts, at, self._slots, word, self._before)
         self.response.refresh()
 
     def _span(self, counts: Counts, base: int) -> Decision | None:

@@ -15,7 +15,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from heliograph.link.step_response import Counts, Table, Tables
+from heliograph.link.step_response import NO_LOSS, Counts, Table, Tables
 from heliograph.link.uart_layout import CHARACTER_BITS
 
 Slots = npt.NDArray[np.int64]
@@ -30,7 +30,7 @@ SLACK_SIGMA: Final = 2.0
 @numba.njit(cache=True, nogil=True)
 def bit_row(counts: Counts, at: int, tables: Tables, row: Table) -> None:
     """Fill row (32,) with l(at, c)."""
-    log_rate, _, total, _ = tables
+    log_rate, _, total, rest = tables
     contexts = total.shape[0]
     for c in range(contexts):
         row[c] = -total[c]
@@ -42,6 +42,10 @@ def bit_row(counts: Counts, at: int, tables: Tables, row: Table) -> None:
         if off:
             for c in range(contexts):
                 row[c] += off * log_rate[1, j, c]
+    if rest[2] != NO_LOSS:
+        for c in range(contexts):
+            if (c ^ (c >> 1)) & 1:
+                row[c] = max(row[c] + rest[3], row[c ^ 1] + rest[2])
 
 
 @numba.njit(cache=True, nogil=True)
