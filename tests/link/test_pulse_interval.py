@@ -12,7 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from heliograph.errors import Refusal
+from heliograph.link.codebook import load
 from heliograph.link.contract import edges_of
+from heliograph.link.frames import CyclicCode, bits_of, seed11_code
 from heliograph.link.modulations import MODULATIONS, modulation
 from heliograph.link.rises import Rises
 from heliograph_services.cli.studies.asynchronous import AsyncPixels
@@ -172,3 +174,18 @@ def test_the_quality_tells_clock_jitter_and_events() -> None:
     assert quality.events_per_transition == pytest.approx(30.0, rel=0.2)
     assert quality.jitter_us is not None
     assert quality.jitter_us < 5.0
+
+
+@pytest.mark.parametrize(
+    "code", [seed11_code(), load("code18d4").code(), load("code20d4").code()], ids=lambda c: c.name
+)
+def test_no_word_of_a_cyclic_code_reads_as_a_word_at_any_ratio_of_the_clocks(code: CyclicCode) -> None:
+    for word in code.words:
+        bits = np.array(bits_of(word, code.bits))
+        rises = np.flatnonzero((bits == 1) & (np.roll(bits, 1) == 0))
+        gaps = np.diff(np.append(rises, rises[0] + code.bits))
+        units = gaps[:, None] * np.arange(0.2, 6.0, 0.02)
+        n = np.maximum(np.round(units), 1.0)
+        legal = ((n >= 2) & (n <= 4) & (np.abs(units - n) <= 0.14 * n)).all(axis=0)
+        # Sent for ever, the word would need a start, eight data bits or more, and the next start.
+        assert not any((n[:, i] == 4).any() and len(gaps) // (n[:, i] == 4).sum() > 8 for i in np.flatnonzero(legal))
