@@ -63,6 +63,17 @@ GAIN_SLOTS: Final = 32
 CLOCK_LIMIT: Final = 0.035
 
 
+def _turned() -> Floats:
+    """Return (cells, BLOCK_OFFSETS, 2) the real and imaginary part of each cell's turn about the block's centre."""
+    from_centre = (np.arange(BLOCK_BITS * SUB) + 0.5) / SUB - 0.5 * BLOCK_BITS
+    f = 1.0 + SPAN * np.linspace(-1.0, 1.0, BLOCK_OFFSETS)
+    angle = -2.0 * math.pi * np.outer(from_centre, f)
+    return np.stack([np.cos(angle), np.sin(angle)], axis=2)
+
+
+_TURNED: Final = _turned()
+
+
 @numba.njit(cache=True, nogil=True)
 def block(t: Floats, on: npt.NDArray[np.bool_], sums: Floats) -> None:
     """Sum one block.
@@ -85,10 +96,8 @@ def block(t: Floats, on: npt.NDArray[np.bool_], sums: Floats) -> None:
             continue
         sums[POWER] += off * off
         sums[POWER + 1] += lit * lit
-        from_centre = (cell + 0.5) / SUB - 0.5 * BLOCK_BITS
         for o in range(BLOCK_OFFSETS):
-            angle = -2.0 * math.pi * (1.0 + SPAN * (2.0 * o / (BLOCK_OFFSETS - 1) - 1.0)) * from_centre
-            re, im = math.cos(angle), math.sin(angle)
+            re, im = _TURNED[cell, o, 0], _TURNED[cell, o, 1]
             sums[4 * o] += off * re
             sums[4 * o + 1] += off * im
             sums[4 * o + 2] += lit * re
@@ -102,6 +111,38 @@ def peak(sums: Floats) -> tuple[float, float]:
     Args:
         sums: (blocks, SUMS), oldest first.
     """
+    z = _spectrum(sums)
+    steps = len(z)
+    best = int(np.argmax(z))
+    f = 1.0 + SPAN * (2.0 * best / (steps - 1) - 1.0)
+    if 0 < best < steps - 1:
+        bend = z[best - 1] - 2.0 * z[best] + z[best + 1]
+        if bend < 0.0:
+            f += 0.5 * (z[best - 1] - z[best + 1]) / bend * 2.0 * SPAN / (steps - 1)
+    return f, z[best]
+
+
+@numba.njit(cache=True, nogil=True)
+def nearest(sums: Floats, slack: float) -> tuple[float, float]:
+    """Return, of the bit rates whose z is the greatest but for `slack`, the one nearest to the nominal; and that z.
+
+    Args:
+        sums: (blocks, SUMS), oldest first.
+        slack: 0 or more; z is like a log-likelihood.
+    """
+    z = _spectrum(sums)
+    steps = len(z)
+    top = z.max()
+    best = 0
+    for s in range(steps):
+        if z[s] >= top - slack and abs(2 * s - steps + 1) < abs(2 * best - steps + 1):
+            best = s
+    return 1.0 + SPAN * (2.0 * best / (steps - 1) - 1.0), top
+
+
+@numba.njit(cache=True, nogil=True)
+def _spectrum(sums: Floats) -> Floats:
+    """Return z of a window at offsets from -SPAN to SPAN, in equal steps."""
     blocks = sums.shape[0]
     off, lit = 0.0, 0.0
     for b in range(blocks):
@@ -110,18 +151,12 @@ def peak(sums: Floats) -> tuple[float, float]:
     steps = STEPS_PER_BLOCK * blocks + 1
     z = np.zeros(steps)
     if off <= 0.0 and lit <= 0.0:
-        return 1.0, 0.0
+        return z
     for s in range(steps):
         offset = 2.0 * s / (steps - 1) - 1.0
-        nearest = round((offset + 1.0) * 0.5 * (BLOCK_OFFSETS - 1))
-        z[s] = _coherence(sums, 1.0 + SPAN * offset, nearest, off, lit)
-    best = int(np.argmax(z))
-    f = 1.0 + SPAN * (2.0 * best / (steps - 1) - 1.0)
-    if 0 < best < steps - 1:
-        bend = z[best - 1] - 2.0 * z[best] + z[best + 1]
-        if bend < 0.0:
-            f += 0.5 * (z[best - 1] - z[best + 1]) / bend * 2.0 * SPAN / (steps - 1)
-    return f, z[best]
+        nearest_offset = round((offset + 1.0) * 0.5 * (BLOCK_OFFSETS - 1))
+        z[s] = _coherence(sums, 1.0 + SPAN * offset, nearest_offset, off, lit)
+    return z
 
 
 @numba.njit(cache=True, nogil=True)

@@ -12,14 +12,14 @@ from collections import Counter, deque
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from heliograph.errors import Refusal, Refusals
 from heliograph.events import Flags, Times
-from heliograph.link import clock, demodulator, level, state, trial
+from heliograph.link import clock, demodulator, level, scan_demodulator, scan_state, scans, state, trial
 from heliograph.link.acceptance import Acceptance, Place, evidence_of, frames_needed
 from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Text, Verdict
-from heliograph.link.frames import CyclicCode, bits_of, seed11_code
+from heliograph.link.cyclic_blocks import ClockBlocks, Peaks
+from heliograph.link.frames import CyclicCode
 from heliograph.units import US_PER_S, bit_us
 
 # Fewest bits a window must hold: less than two frames of seed11 cannot be aligned anyway.
@@ -68,11 +68,8 @@ class CyclicReceiver:
         self._block = 0  # number of the next block on the absolute grid
         self._part = 0  # parts of it that have been looked at
         self._dark = 0  # blocks before it without events
-        # Of events, and of the edges of the level that they show.
-        self._sums = np.zeros((2, clock.LONG_BLOCKS, clock.SUMS))
-        self._level_t = np.zeros((clock.LONG_BLOCKS, 4 * clock.BLOCK_BITS))
-        self._level_on = np.zeros((clock.LONG_BLOCKS, 4 * clock.BLOCK_BITS), np.bool_)
-        self._level_n = [0] * clock.LONG_BLOCKS
+        self._blocks = ClockBlocks(self._bit_us)
+        self._scans = self._blocks.scans
         self._held_t: Times = np.empty(0, np.int64)
         self._held_on: Flags = np.empty(0, np.bool_)
         self._recent: deque[tuple[int, bool]] = deque(maxlen=8192)  # (end, accepted) of the last second's frames
@@ -110,6 +107,8 @@ class CyclicReceiver:
             return NEVER_US
         slots = (aligned - int(ints[state.SLOT])) % self._code.bits
         at = float(floats[state.BOUNDARY]) + (slots + 0.5) * float(floats[state.PERIOD])
+        if self._scans.scanned is not None:
+            at += scans.TOGETHER
         early = EARLY_BITS if slots else 0.0
         return self._origin_us + int(np.ceil((at - early) * self._bit_us))
 
@@ -123,7 +122,8 @@ class CyclicReceiver:
         if self._origin_us is None:
             return []
         out: list[LinkFrame | Text] = []
-        self._follow(self._held_t, self._held_on, self._until_us + int(self._bit_us) + 1, out)
+        slots = 1 if self._scans.scanned is None else 2 + scan_state.LAG
+        self._follow(self._held_t, self._held_on, self._until_us + int(slots * self._bit_us) + 1, out)
         self._held_t, self._held_on = self._held_t[:0], self._held_on[:0]
         return out
 
@@ -144,6 +144,8 @@ class CyclicReceiver:
         period = float(self._state.floats[state.PERIOD])
         jitter_us = float(np.sqrt(self._state.floats[state.JITTER2])) * self._bit_us
         burst, background = float(self._state.figures[0]), float(self._state.figures[1])
+        if self._scans.scanned is not None:
+            burst, background = self._scans.figures(self._scans.scanned)
         # Energy of a transition over the background in a slot, half an event of which is never excluded.
         snr_db = 10.0 * float(np.log10(max(burst, 1e-3) / max(background, 0.5)))
         return LinkQuality(
@@ -182,8 +184,7 @@ class CyclicReceiver:
         """Forget the blocks that were summed."""
         self._dark = 0
         self._part = 0
-        self._sums[:] = 0.0
-        self._level_n = [0] * clock.LONG_BLOCKS
+        self._blocks.clear()
 
     def _drop(self, events: int) -> None:
         self._held_t, self._held_on = self._held_t[events:], self._held_on[events:]
@@ -195,7 +196,7 @@ class CyclicReceiver:
         self._block += 1
         self._part = 0
         t: clock.Floats = np.asarray((self._held_t[start:stop] - begin_us) / self._bit_us, np.float64)
-        self._take_block(t, self._held_on[start:stop])
+        self._blocks.take(t, self._held_on[start:stop])
         if stop == start:
             self._dark += 1
         else:
@@ -204,7 +205,9 @@ class CyclicReceiver:
                 self._since_us = int(self._held_t[start])
             self._dark = 0
         since_us = self._since_us or 0
-        if stop > start and self._try(self._sums, end_us, end_us, block_us):
+        if self._block % (1 if end_us - since_us <= clock.LONG_BLOCKS * block_us else clock.SHORT_BLOCKS) == 0:
+            self._blocks.look(self._held_t[:stop], self._held_on[:stop], self._block)
+        if stop > start and self._try(None, end_us, end_us, block_us):
             return True
         if stop > start and end_us - since_us >= WINDOW_LEAST_BITS * self._bit_us:
             windows = [(clock.SHORT_BLOCKS, clock.THRESHOLD_SHORT)]
@@ -216,7 +219,7 @@ class CyclicReceiver:
                 # A young track may be a beacon whose word has few edges: 64 bits of it stay just below the threshold.
                 windows.append((2 * clock.SHORT_BLOCKS, clock.THRESHOLD_LONG))
             for blocks, threshold in windows:
-                peaks = [clock.peak(sums[-blocks:]) for sums in self._sums]
+                peaks = self._blocks.peaks(blocks)
                 if max(z for _, z in peaks) >= threshold and self._lock(
                     peaks, threshold, end_us - blocks * block_us, end_us, blocks
                 ):
@@ -239,17 +242,16 @@ class CyclicReceiver:
         if stop == 0:
             return False
         t: clock.Floats = np.asarray((self._held_t[start:stop] - begin_us) / self._bit_us, np.float64)
-        sums = np.zeros_like(self._sums)
-        sums[:, :-1] = self._sums[:, 1:]
-        clock.block(t, self._held_on[start:stop], sums[0, -1])
-        return self._try(sums, end_us, begin_us + block_us, block_us)
+        return self._try((t, self._held_on[start:stop]), end_us, begin_us + block_us, block_us)
 
     def _young(self, end_us: float, block_us: float) -> bool:
         """Return whether a track has shown as many frames as an identity takes, and not yet a long window."""
         since_us = self._since_us or 0
         return self._needed * self._code.bits * self._bit_us <= end_us - since_us < clock.LONG_BLOCKS * block_us
 
-    def _try(self, sums: clock.Floats, end_us: float, blocks_end_us: float, block_us: float) -> bool:
+    def _try(
+        self, more: tuple[clock.Floats, Flags] | None, end_us: float, blocks_end_us: float, block_us: float
+    ) -> bool:
         """Lock to a likely clock, in a short window or in all since a young track began, if its code repeats."""
         since_us = self._since_us or 0
         if end_us - since_us < self._needed * self._code.bits * self._bit_us:
@@ -259,26 +261,17 @@ class CyclicReceiver:
         if windows[0] < all_blocks and self._young(end_us, block_us):
             windows.append(min(all_blocks, clock.LONG_BLOCKS))
         for blocks in windows:
-            f, z = clock.peak(sums[0, -blocks:])
-            if z < trial.THRESHOLD:
+            peaks = self._blocks.tried(blocks, more)
+            if max(z for _, z in peaks) < trial.THRESHOLD:
                 continue
             begin_us = max(blocks_end_us - blocks * block_us, float(since_us))
-            if self._lock([(f, z), (1.0, 0.0)], trial.THRESHOLD, begin_us, end_us, blocks, tried=True):
+            if self._lock(peaks, trial.THRESHOLD, begin_us, end_us, blocks, tried=True):
                 return True
         return False
 
-    def _take_block(self, t: clock.Floats, on: Flags) -> None:
-        """Sum the next block, its events and the edges of their level."""
-        self._sums[:, :-1] = self._sums[:, 1:]
-        self._level_t[:-1], self._level_on[:-1] = self._level_t[1:], self._level_on[1:]
-        clock.block(t, on, self._sums[0, -1])
-        n = level.edges(t, self._level_t[-1], self._level_on[-1])
-        self._level_n = [*self._level_n[1:], n]
-        clock.block(self._level_t[-1, :n], self._level_on[-1, :n], self._sums[1, -1])
-
     def _lock(
         self,
-        peaks: list[tuple[float, float]],
+        peaks: Peaks,
         threshold: float,
         begin_us: float,
         end_us: float,
@@ -295,14 +288,17 @@ class CyclicReceiver:
         t = (self._held_t[start:stop] - origin_us) / self._bit_us
         on, until = self._held_on[start:stop], (end_us - origin_us) / self._bit_us
         last = -1e9 if self._frame_end_us is None else (self._frame_end_us - origin_us) / self._bit_us
-        (f, z), (f_level, z_level) = peaks
+        (f, z), (f_level, z_level), (f_turns, z_turns) = peaks
+        if z_turns >= threshold and self._begin_scanned(t, on, until, f_turns, last, tried=tried):
+            return self._locked(origin_us, start)
         moves = False
         if z_level >= threshold:
-            edges_t, edges_on = self._level_edges(begin_us - origin_us, blocks)
+            edges_t, edges_on = self._blocks.level_edges(begin_us - origin_us, blocks)
             clock.grid(edges_t, edges_on, f_level, until, self._found, self._folded)
             moves = level.start(t, on, until, self._found, self._state.model, self._state.seen)
         if not moves:
-            if z < threshold:
+            # Where scans are long, the turns go first, as soon as they have been seen for long enough.
+            if z < threshold or not (tried or self._scans.enough(blocks)):
                 return False
             clock.grid(t, on, f, until, self._found, self._folded)
         if tried:
@@ -312,17 +308,29 @@ class CyclicReceiver:
             if not trial.repeats(t, on, until, self._state, self._needed - 1):
                 return False
         state.start(self._state, None if moves else self._folded, self._found, last, self._code)
+        return self._locked(origin_us, start)
+
+    def _locked(self, origin_us: int, start: int) -> bool:
+        """Follow from here on; the held events before `start` are dropped."""
         self._drop(start)
         self._origin_us = origin_us
         self._locks += 1
         return True
 
-    def _level_edges(self, begin_us: float, blocks: int) -> tuple[clock.Floats, Flags]:
-        """Return the edges of the level in the newest blocks, which begin at begin_us from the origin."""
-        first = begin_us / self._bit_us
-        rows = range(clock.LONG_BLOCKS - blocks, clock.LONG_BLOCKS)
-        t = [self._level_t[row, : self._level_n[row]] + first + i * clock.BLOCK_BITS for i, row in enumerate(rows)]
-        return np.concatenate(t), np.concatenate([self._level_on[row, : self._level_n[row]] for row in rows])
+    def _begin_scanned(self, t: clock.Floats, on: Flags, until: float, f: float, last: float, *, tried: bool) -> bool:
+        """Begin with a clock that the turns of scanned light show, as `_lock` does."""
+        for trying in (True, False) if tried else (False,):
+            if not self._scans.begin(t, on, until, f, self._found):
+                return False
+            state.start(self._state, None, self._found, last, self._code)
+            self._state.ints[state.SLOT] = -scan_state.LAG
+            if trying:
+                alike = trial.alike(t, on, until, self._found, self._code.bits, self._needed - 1)
+                scanned = self._scans.scanned
+                if not alike or not trial.repeats(t, on, until, self._state, self._needed - 1, scanned):
+                    self._scans.scanned = None
+                    return False
+        return True
 
     def _follow(self, t_us: Times, on: Flags, until_us: int, out: list[LinkFrame | Text]) -> tuple[Times, Flags]:
         """Demodulate; return the events that are left when the clock is lost."""
@@ -333,7 +341,10 @@ class CyclicReceiver:
         until = (until_us - origin_us) / self._bit_us
         done = 0
         while True:
-            outcome, taken = demodulator.advance(t[done:], on[done:], until, self._state)
+            if (scanned := self._scans.scanned) is None:
+                outcome, taken = demodulator.advance(t[done:], on[done:], until, self._state)
+            else:
+                outcome, taken = scan_demodulator.advance(t[done:], on[done:], until, self._state, scanned)
             done += taken
             self._settle(origin_us, out)
             if outcome == demodulator.DONE:
@@ -343,6 +354,7 @@ class CyclicReceiver:
                 lost = self._state.floats[state.BOUNDARY] - 0.5 * self._state.floats[state.PERIOD]
                 self._since_us = origin_us + int(np.ceil(lost * self._bit_us))
                 self._origin_us = None
+                self._scans.scanned = None
                 self._block = int(self._since_us // (clock.BLOCK_BITS * self._bit_us))
                 self._clear()
                 break
@@ -380,16 +392,3 @@ class CyclicReceiver:
             return self._code.hard_refusal(word)
         # Read clearly, but not at a position of its own: as two payloads, or as one that will not stay in its place.
         return self._refused_payloads.get(self._code.words.index(word), Refusal.WEAK)
-
-
-def warm() -> None:
-    """Compile (or load from the cache) all kernels: a few synthetic frames through a receiver."""
-    code = seed11_code()
-    bits: list[int] = [bit for _ in range(12) for bit in bits_of(code.words[42], code.bits)]
-    levels = np.array([0, *bits, 0])
-    edges = np.flatnonzero(np.diff(levels))
-    t_us: npt.NDArray[np.int64] = np.repeat(edges * 1000, 4)
-    on: npt.NDArray[np.bool_] = np.repeat(np.diff(levels)[edges] > 0, 4)
-    receiver = CyclicReceiver(code, 1000.0)
-    receiver.feed(t_us, on, 140_000)
-    receiver.flush()

@@ -26,7 +26,7 @@ import numba
 import numpy as np
 
 from heliograph.events import Flags
-from heliograph.link import demodulator, state
+from heliograph.link import demodulator, scan_demodulator, scan_state, state
 from heliograph.link.clock import Floats
 
 # Of the weakest words at 44 bits; noise passes once in seven windows, and then costs a trial.
@@ -83,7 +83,9 @@ def alike(t: Floats, on: Flags, until: float, found: Floats, n: int, wanted: int
     return bool(likeness(t, on, last - slots * period, period, slots, n) >= LIKENESS)
 
 
-def repeats(t: Floats, on: Flags, until: float, at: state.State, wanted: int) -> bool:
+def repeats(
+    t: Floats, on: Flags, until: float, at: state.State, wanted: int, scanned: scan_state.ScanState | None = None
+) -> bool:
     """Return whether the frames of a window, demodulated from a lock at its beginning, end with equal ones.
 
     Args:
@@ -92,9 +94,13 @@ def repeats(t: Floats, on: Flags, until: float, at: state.State, wanted: int) ->
         until: end of the window.
         at: begun with the lock (`state.start`); changed.
         wanted: how many equal frames.
+        scanned: begun with the lock, where the light is scanned; changed.
     """
     while True:
-        outcome, taken = demodulator.advance(t, on, until, at)
+        if scanned is None:
+            outcome, taken = demodulator.advance(t, on, until, at)
+        else:
+            outcome, taken = scan_demodulator.advance(t, on, until, at, scanned)
         if outcome != demodulator.FULL:
             break
         t, on = t[taken:], on[taken:]

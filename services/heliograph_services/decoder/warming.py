@@ -6,7 +6,7 @@ import numpy as np
 
 from heliograph.core import Context
 from heliograph.events import EventBatch
-from heliograph.link import bitrate, ook_receiver, packet_receiver, rises, text_receiver, trial, wang2022
+from heliograph.link import bitrate, cyclic_warm, ook_receiver, packet_receiver, rises, text_receiver, trial, wang2022
 from heliograph.messages import Tracks
 from heliograph.streams import Events
 from heliograph_services.decoder.config import DecoderConfig
@@ -20,6 +20,7 @@ def warm_all() -> None:
     A scene of two blinking pixels runs through a core, backlog and re-centring included. It is no text, and what a
     receiver of text compiles behind its lock would else stall the first beacon of a site.
     """
+    cyclic_warm.warm()
     text_receiver.warm()
     packet_receiver.warm()
     trial.warm()

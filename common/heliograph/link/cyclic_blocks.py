@@ -1,0 +1,89 @@
+"""What the default receiver of cyclic codes keeps of the light while it waits for a clock, block by block.
+
+Three signs of the clock are summed over blocks of 16 bits (`heliograph.link.clock`): the events, the edges of the level
+of a lit LED that moves (`heliograph.link.level`), and the turns of scanned light (`heliograph.link.cyclic_scans`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from heliograph.events import Flags, Times
+from heliograph.link import clock, level
+from heliograph.link.cyclic_scans import ScanSearch
+
+# (f, z) of the events, of the level, of the turns.
+Peaks = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+_NONE = (1.0, 0.0)
+
+
+class ClockBlocks:
+    """The newest LONG_BLOCKS blocks of one track.
+
+    Args:
+        bit_us: nominal length of a bit.
+    """
+
+    def __init__(self, bit_us: float) -> None:
+        self.scans = ScanSearch(bit_us)
+        self._bit_us = bit_us
+        self._events = np.zeros((clock.LONG_BLOCKS, clock.SUMS))
+        self._level = np.zeros_like(self._events)
+        self._level_t = np.zeros((clock.LONG_BLOCKS, 4 * clock.BLOCK_BITS))
+        self._level_on = np.zeros((clock.LONG_BLOCKS, 4 * clock.BLOCK_BITS), np.bool_)
+        self._level_n = [0] * clock.LONG_BLOCKS
+
+    def clear(self) -> None:
+        """Forget the blocks."""
+        self._events[:] = 0.0
+        self._level[:] = 0.0
+        self._level_n = [0] * clock.LONG_BLOCKS
+        self.scans.clear()
+
+    def take(self, t: clock.Floats, on: Flags) -> None:
+        """Sum the next block, its events (times in bits from its beginning) and the edges of their level."""
+        for kept in (self._events, self._level, self._level_t, self._level_on):
+            kept[:-1] = kept[1:]
+        clock.block(t, on, self._events[-1])
+        n = level.edges(t, self._level_t[-1], self._level_on[-1])
+        self._level_n = [*self._level_n[1:], n]
+        clock.block(self._level_t[-1, :n], self._level_on[-1, :n], self._level[-1])
+        self.scans.take(t, on)
+
+    def look(self, held_t: Times, held_on: Flags, end_block: int) -> None:
+        """See whether the events held are scans; if they are, sum the turns of the blocks before end_block."""
+        if self.scans.known:
+            return
+        block_us = clock.BLOCK_BITS * self._bit_us
+        newest = int(np.searchsorted(held_t, (end_block - clock.SHORT_BLOCKS) * block_us))
+        if not self.scans.look(held_t[newest:]):
+            return
+        for block in range(end_block - clock.LONG_BLOCKS, end_block):
+            begin_us = block * block_us
+            start, stop = (int(i) for i in np.searchsorted(held_t, (begin_us, begin_us + block_us)))
+            t: clock.Floats = np.asarray((held_t[start:stop] - begin_us) / self._bit_us, np.float64)
+            self.scans.take(t, held_on[start:stop])
+
+    def peaks(self, blocks: int) -> Peaks:
+        """Return what a window of the newest blocks shows."""
+        turns = self.scans.peak(blocks) if self.scans.enough(blocks) else _NONE
+        return clock.peak(self._events[-blocks:]), clock.peak(self._level[-blocks:]), turns
+
+    def tried(self, blocks: int, more: tuple[clock.Floats, Flags] | None) -> Peaks:
+        """Return what a window shows that ends with the newest block or, where given, with events after it.
+
+        What it shows will be believed only if the code repeats: so the level, which may be imagined, is left out.
+        """
+        events = self._events[-blocks:]
+        if more is not None:
+            newest = np.zeros_like(self._events[:1])
+            clock.block(*more, newest[0])
+            events = np.concatenate([self._events[clock.LONG_BLOCKS - blocks + 1 :], newest])
+        return clock.peak(events), _NONE, self.scans.peak(blocks)
+
+    def level_edges(self, begin_us: float, blocks: int) -> tuple[clock.Floats, Flags]:
+        """Return the level's edges in the newest blocks, which begin at begin_us from the origin; in bits from it."""
+        first = begin_us / self._bit_us
+        rows = range(clock.LONG_BLOCKS - blocks, clock.LONG_BLOCKS)
+        t = [self._level_t[row, : self._level_n[row]] + first + i * clock.BLOCK_BITS for i, row in enumerate(rows)]
+        return np.concatenate(t), np.concatenate([self._level_on[row, : self._level_n[row]] for row in rows])

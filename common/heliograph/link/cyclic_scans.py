@@ -1,0 +1,108 @@
+"""How the default receiver of cyclic codes comes to read scanned light (`heliograph.link.scan_demodulator`).
+
+Beside the events of a block (`heliograph.link.cyclic`) the turns of the light (`heliograph.link.scans`) are summed,
+where the events are scans long enough to matter. They show the clock of a light whose bursts go on for more than a bit,
+and of one whose scans are half a bit. There, though, times on the grid of the scans, of rate s, are as coherent at
+s - f as at f; so among rates that are nearly as good the one nearest to the nominal is taken.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from heliograph.events import Flags, Times
+from heliograph.link import clock, scan_lock, scan_state, scans
+from heliograph.link.scan_state import ScanState, new_scan_state
+
+# Rates whose z is less than this below the best are as likely as it is, for all that a window shows.
+SLACK: Final = 3.0
+# A response must have been seen at all places of a scan in a bit, the more of them the longer the scan is: 16 blocks
+# where it is .4 bit or more (64 bits of a light at 2.5 kbit/s behind 199 us led to one that read half of the frames and
+# a quarter wrong, for good), 4 up to .1 bit.
+WINDOW_BLOCKS_A_BIT: Final = 36.0
+
+
+class ScanSearch:
+    """Sums the turns of one track's light, and begins with what they show.
+
+    Args:
+        bit_us: nominal length of a bit.
+    """
+
+    def __init__(self, bit_us: float) -> None:
+        self._bit_us = bit_us
+        self.scanned: ScanState | None = None  # of the present lock, or of one on trial
+        self._kept: ScanState | None = None
+        self._quantum = 0.0  # length of a scan in bits; 0 while the events are not known to be scans
+        self._turn = np.zeros(scans.FIELDS)
+        self._sums = np.zeros((clock.LONG_BLOCKS, clock.SUMS))
+
+    def clear(self) -> None:
+        """Forget the blocks that were summed."""
+        self._sums[:] = 0.0
+        self._turn[:] = 0.0
+
+    @property
+    def known(self) -> bool:
+        """Whether the events are known to be scans."""
+        return self._quantum > 0.0
+
+    def look(self, t_us: Times) -> bool:
+        """Learn from events held whether they are scans; return it."""
+        self._quantum = scans.quantum(scans.starts(t_us / self._bit_us))
+        return self.known
+
+    def take(self, t: clock.Floats, on: Flags) -> None:
+        """Sum the next block (times in bits from its beginning)."""
+        self._sums[:-1] = self._sums[1:]
+        self._sums[-1] = 0.0
+        if not self.known:
+            return
+        found_t, found_on = np.empty(4 * clock.BLOCK_BITS), np.empty(4 * clock.BLOCK_BITS, np.bool_)
+        self._turn[scans.AT] -= clock.BLOCK_BITS
+        n = scans.turns(t, on, self._turn, found_t, found_on)
+        clock.block(found_t[:n], found_on[:n], self._sums[-1])
+
+    def enough(self, blocks: int) -> bool:
+        """Return whether a window of so many blocks may show a response; True where the events are no scans."""
+        return blocks >= min(WINDOW_BLOCKS_A_BIT * self._quantum, clock.LONG_BLOCKS)
+
+    def peak(self, blocks: int) -> tuple[float, float]:
+        """Return the rate that the turns of the newest blocks show, and its z; z = 0 where there are no scans."""
+        return clock.nearest(self._sums[-blocks:], SLACK) if self.known else (1.0, 0.0)
+
+    def begin(self, t: clock.Floats, on: Flags, until: float, f: float, found: clock.Floats) -> bool:
+        """Begin with a clock that the turns of a window show.
+
+        Args:
+            t: (n,) event times of the window in nominal bits from the lock's origin.
+            on: (n,) polarities.
+            until: end of the window.
+            f: bits a nominal bit.
+            found: (4,) out, as of `heliograph.link.clock.grid`.
+
+        Returns:
+            Whether the window's events are scans.
+        """
+        found_t, found_on = np.empty(len(t)), np.empty(len(t), np.bool_)
+        self._turn[scans.UP : scans.USUAL_OFF] = 0.0
+        n = scans.turns(t, on, self._turn, found_t, found_on)
+        if n == 0:
+            return False
+        if self._kept is None:
+            self._kept = new_scan_state()
+        clock.grid(found_t[:n], found_on[:n], f, until, found, np.empty((2, clock.SUB)))
+        if not scan_lock.begin(self._kept, t, on, until, found, found_t[:n], found_on[:n]):
+            return False
+        self.scanned = self._kept
+        self.scanned.turn[:] = 0.0
+        self.scanned.turn[scans.USUAL_OFF : scans.SWING] = self._turn[scans.USUAL_OFF : scans.SWING]
+        return True
+
+    def figures(self, scanned: ScanState) -> tuple[float, float]:
+        """Return events of a transition and background events a slot."""
+        burst = 0.5 * float(scanned.turn[scans.USUAL_OFF] + scanned.turn[scans.USUAL_ON])
+        quiet = 0.5 * float(scanned.rate[[0, -1]].sum()) / clock.SUB
+        return burst, quiet / float(scanned.floats[scan_state.QUANTUM])
