@@ -114,6 +114,8 @@ def peak(sums: Floats) -> tuple[float, float]:
     z = _spectrum(sums)
     steps = len(z)
     best = int(np.argmax(z))
+    if z[best] <= 0.0:
+        return 1.0, 0.0
     f = 1.0 + SPAN * (2.0 * best / (steps - 1) - 1.0)
     if 0 < best < steps - 1:
         bend = z[best - 1] - 2.0 * z[best] + z[best + 1]
@@ -123,19 +125,20 @@ def peak(sums: Floats) -> tuple[float, float]:
 
 
 @numba.njit(cache=True, nogil=True)
-def nearest(sums: Floats, slack: float) -> tuple[float, float]:
-    """Return, of the bit rates whose z is the greatest but for `slack`, the one nearest to the nominal; and that z.
+def nearest(sums: Floats, slack: float, share: float) -> tuple[float, float]:
+    """Return, of the bit rates whose z is nearly the greatest, the one nearest to the nominal; and the greatest z.
 
     Args:
         sums: (blocks, SUMS), oldest first.
-        slack: 0 or more; z is like a log-likelihood.
+        slack: below the greatest, 0 or more; z is like a log-likelihood.
+        share: of the greatest, 0 to 1; the larger of both counts.
     """
     z = _spectrum(sums)
     steps = len(z)
     top = z.max()
     best = 0
     for s in range(steps):
-        if z[s] >= top - slack and abs(2 * s - steps + 1) < abs(2 * best - steps + 1):
+        if z[s] >= top - max(slack, share * top) and abs(2 * s - steps + 1) < abs(2 * best - steps + 1):
             best = s
     return 1.0 + SPAN * (2.0 * best / (steps - 1) - 1.0), top
 

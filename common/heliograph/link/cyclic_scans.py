@@ -16,8 +16,11 @@ from heliograph.events import Flags, Times
 from heliograph.link import clock, scan_lock, scan_state, scans
 from heliograph.link.scan_state import ScanState, new_scan_state
 
-# Rates whose z is less than this below the best are as likely as it is, for all that a window shows.
-SLACK: Final = 3.0
+# Rates whose z is less than this below the best are as likely as it is, for all that a window shows; and where the
+# grid of the scans mirrors the nominal rate within this span, all whose z is half of it.
+SLACK: Final = 6.0
+MIRRORED: Final = 0.03
+MIRROR_SLACK: Final = 0.5
 # A response must have been seen at all places of a scan in a bit, the more of them the longer the scan is: 16 blocks
 # where it is .4 bit or more (64 bits of a light at 2.5 kbit/s behind 199 us led to one that read half of the frames and
 # a quarter wrong, for good), 4 up to .1 bit.
@@ -71,7 +74,10 @@ class ScanSearch:
 
     def peak(self, blocks: int) -> tuple[float, float]:
         """Return the rate that the turns of the newest blocks show, and its z; z = 0 where there are no scans."""
-        return clock.nearest(self._sums[-blocks:], SLACK) if self.known else (1.0, 0.0)
+        if not self.known:
+            return 1.0, 0.0
+        mirrored = abs(1.0 / self._quantum - 2.0) < MIRRORED
+        return clock.nearest(self._sums[-blocks:], SLACK, MIRROR_SLACK if mirrored else 0.0)
 
     def begin(self, t: clock.Floats, on: Flags, until: float, f: float, found: clock.Floats) -> bool:
         """Begin with a clock that the turns of a window show.
