@@ -41,16 +41,16 @@ def test_every_event_reaches_its_track_once_and_in_order(windows: list[tuple[lis
     feeding = begun(3)
     wanted: dict[int, list[int]] = {i: [] for i in range(3)}
     got: dict[int, list[int]] = {i: [] for i in range(3)}
-    for k, (label, taking, ends) in enumerate(windows):
+    for k, (label, taking, grows) in enumerate(windows):
         times = [k * WINDOW_US + j for j in range(len(label))]
-        feeding.note(routed(times, label, 3), (k + 1) * WINDOW_US)
+        feeding.note(routed(times, label, feeding.n), (k + 1) * WINDOW_US)
         for t_us, i in zip(times, label, strict=True):
             wanted[i].append(t_us)
         for i in taking:
             got[i] += feeding.take(i)[0].tolist()
             feeding.fed(i, (k + 1) * WINDOW_US, NEVER_DUE_US)
-        if ends:
-            feeding.end_beat()
+        if grows and feeding.n < 8:
+            feeding.append((k + 1) * WINDOW_US, [False], [NEVER_DUE_US])
     for i in range(3):
         got[i] += feeding.take(i)[0].tolist()
     assert got == wanted

@@ -124,6 +124,8 @@ def trimmed_mean(counts: Counts, n: int, half: int) -> float:
     low, high = cut, n - cut
     below, total = 0.0, 0.0
     for at in range(2 * half):
+        if counts[at] == 0:
+            continue
         above = below + counts[at]
         inside = min(above, high) - max(below, low)
         if inside > 0.0:

@@ -227,7 +227,6 @@ class DecoderCore:
 
     def _end_beat(self, following: Following, window: Window, now_us: int) -> list[Message]:
         """Let go what nobody follows; send what is due on the grid."""
-        following.feeding.end_beat()
         out = self._sweep(following, now_us)
         # A stream that ends on the grid has had its turn with the window before.
         if not window.last or now_us > window.t0_us:

@@ -22,6 +22,7 @@ import numpy as np
 from heliograph.events import Flags, Times
 from heliograph_services.decoder.region_state import NEVER, Depths, Ints
 from heliograph_services.decoder.regions import Routed
+from heliograph_services.decoder.sorting import gather
 
 # A frame of 20 bits at 50 bit/s takes 400 ms, and may be dark for most of it.
 AWAKE_US: Final = 450_000
@@ -30,8 +31,10 @@ BEAT_US: Final = 5_000
 # What is due only later is fed then; but the events of slow links are not kept for longer, and a status is no older.
 WAIT_US: Final = 20_000
 NEVER_DUE_US: Final = 2**60
-# Forgetting costs a look at each track that waits.
-WINDOWS_KEPT: Final = 20
+# Forgetting costs a look at each track that waits; they hold what waits for two beats and more.
+WINDOWS_KEPT: Final = 32
+# Grows where more is heard.
+START_EVENTS: Final = 65_536
 
 Piece = tuple[Times, Flags, Depths]
 
@@ -55,9 +58,15 @@ class Feeding:
 
     def __init__(self, capacity: int) -> None:
         self.n = 0
-        self._windows: list[Routed] = []
-        self._taken: list[int] = []  # how many of them a track has been fed
-        self._left: list[list[Piece]] = []  # of windows that are not there any more
+        # The windows' events, sorted by track within a window; window w's of track i begin at starts[w, i].
+        self._t_us: Times = np.empty(START_EVENTS, np.int64)
+        self._on: Flags = np.empty(START_EVENTS, np.bool_)
+        self._depth: Depths = np.empty(START_EVENTS, np.uint8)
+        self._starts: Ints = np.zeros((WINDOWS_KEPT, capacity + 1), np.int64)
+        self._windows = 0
+        self._events = 0
+        self._taken = [0] * capacity  # how many of the windows a track has been fed
+        self._left: list[Piece | None] = []  # of windows that are not there any more
         self._due_us: Ints = np.zeros(capacity, np.int64)
         self._heard_us: Ints = np.zeros(capacity, np.int64)  # end of the last window in which it heard something
         self._fed_us: Ints = np.zeros(capacity, np.int64)
@@ -71,7 +80,6 @@ class Feeding:
         for row in (self._due_us, self._heard_us, self._fed_us):
             row[:m] = row[kept]
         self._left = [self._left[i] for i in kept]
-        self._taken = [0] * m
         self.n = m
 
     def append(self, now_us: int, heard: list[bool], due_us: list[int]) -> None:
@@ -80,15 +88,35 @@ class Feeding:
         self._heard_us[self.n : self.n + k] = np.where(heard, now_us, NEVER)
         self._due_us[self.n : self.n + k] = due_us
         self._fed_us[self.n : self.n + k] = now_us
-        self._taken += [len(self._windows)] * k
-        self._left += [[] for _ in range(k)]
+        # The windows before know nothing of it.
+        self._drain()
+        self._left += [None] * k
         self.n += k
 
     def note(self, routed: Routed, t1_us: int) -> None:
         """Take what a window that ends at t1_us holds."""
-        self._windows.append(routed)
-        starts = routed.starts
+        if self._windows == WINDOWS_KEPT:
+            self._drain()
+        starts, m = routed.starts, len(routed.t_us)
+        behind = self._events + m
+        if behind > len(self._t_us):
+            self._grow(behind)
+        self._t_us[self._events : behind] = routed.t_us
+        self._on[self._events : behind] = routed.on
+        self._depth[self._events : behind] = routed.depth
+        self._starts[self._windows, : self.n + 1] = starts
+        self._starts[self._windows, : self.n + 1] += self._events
+        self._events = behind
+        self._windows += 1
         self._heard_us[: self.n][starts[1:] > starts[:-1]] = t1_us
+
+    def _grow(self, events: int) -> None:
+        room = max(2 * len(self._t_us), events)
+        for name in ("_t_us", "_on", "_depth"):
+            old = getattr(self, name)
+            new = np.empty(room, old.dtype)
+            new[: self._events] = old[: self._events]
+            setattr(self, name, new)
 
     def whom(self, t1_us: int, *, beat: bool, every: bool) -> list[int]:
         """Return the tracks to be fed at t1_us; see the module."""
@@ -104,35 +132,32 @@ class Feeding:
 
     def take(self, i: int) -> Piece:
         """Return what track i has not been fed yet."""
-        first, self._taken[i] = self._taken[i], len(self._windows)
-        if not self._left[i] and len(self._windows) == first + 1:
-            return self._windows[first].of(i)
-        pieces = self._left[i] + [window.of(i) for window in self._windows[first:]]
-        self._left[i] = []
-        if len(pieces) == 1:
-            return pieces[0]
-        if not pieces:
-            return _NOTHING
-        t_us, on, depth = zip(*pieces, strict=True)
-        return np.concatenate(t_us), np.concatenate(on), np.concatenate(depth)
+        piece = gather(self._t_us, self._on, self._depth, self._starts, i, self._taken[i], self._windows)
+        self._taken[i] = self._windows
+        left = self._left[i]
+        if left is None:
+            return piece
+        self._left[i] = None
+        return _joined(left, piece)
 
     def fed(self, i: int, now_us: int, due_us: int) -> None:
         """Note that track i has been fed up to now_us, and when it is due again."""
         self._fed_us[i] = now_us
         self._due_us[i] = due_us
 
-    def end_beat(self) -> None:
-        """Forget windows that nobody waits for any more; what waits is kept by track."""
-        if len(self._windows) >= WINDOWS_KEPT:
-            self._drain()
-
     def _drain(self) -> None:
+        """Forget the windows; what waits is kept by track."""
         unfed: list[int] = (self._heard_us[: self.n] > self._fed_us[: self.n]).nonzero()[0].tolist()
         for i in unfed:
-            pieces = [window.of(i) for window in self._windows[self._taken[i] :]]
-            self._left[i] += [piece for piece in pieces if len(piece[0])]
-        self._taken = [0] * self.n
-        self._windows.clear()
+            piece = self.take(i)
+            self._left[i] = piece if len(piece[0]) else None
+        self._taken = [0] * len(self._taken)
+        self._windows = self._events = 0
 
 
-_NOTHING: Final[Piece] = (np.empty(0, np.int64), np.empty(0, np.bool_), np.empty(0, np.uint8))
+def _joined(left: Piece, piece: Piece) -> Piece:
+    return (
+        np.concatenate((left[0], piece[0])),
+        np.concatenate((left[1], piece[1])),
+        np.concatenate((left[2], piece[2])),
+    )

@@ -1,4 +1,4 @@
-"""The kernel that sorts what regions have heard by track."""
+"""The kernels that sort what regions have heard by track, and gather what one has heard."""
 
 from __future__ import annotations
 
@@ -29,3 +29,32 @@ def sort_by_track(
         depth[at[i]] = hit_depth[j]
         at[i] += 1
     return starts, times, levels, depth
+
+
+@kernel
+def gather(
+    t_us: Times, on: Flags, depth: Depths, starts: Ints, i: int, first: int, behind: int
+) -> tuple[Times, Flags, Depths]:
+    """Return the events of track i in the windows [first, behind), one after another.
+
+    Args:
+        t_us: (m,), as on and depth: of all windows, sorted by track within each.
+        on: (m,).
+        depth: (m,).
+        starts: (windows, tracks + 1): where they begin.
+        i: the track.
+        first: window.
+        behind: the last one.
+    """
+    n = 0
+    for w in range(first, behind):
+        n += starts[w, i + 1] - starts[w, i]
+    times = np.empty(n, np.int64)
+    levels = np.empty(n, np.bool_)
+    depths = np.empty(n, np.uint8)
+    k = 0
+    for w in range(first, behind):
+        for j in range(starts[w, i], starts[w, i + 1]):
+            times[k], levels[k], depths[k] = t_us[j], on[j], depth[j]
+            k += 1
+    return times, levels, depths
