@@ -116,10 +116,10 @@ def corpus(
     for (x, y), payload in zip(places, payloads, strict=True):
         bits = list(kind.encode(payload)) * int(np.ceil(seconds * bit_rate / 11))
         at_us, levels = edges_of(bits, float(rng.uniform(0.0, 5_000.0)), 1e6 / bit_rate)
-        n = rng.poisson(events_hz * inside * seconds / beacons / len(at_us), len(at_us))
-        t = np.repeat(at_us, n) + DELAY_US + rng.exponential(TAIL_US, int(n.sum()))
+        each = rng.poisson(events_hz * inside * seconds / beacons / len(at_us), len(at_us))
+        t = np.repeat(at_us, each) + DELAY_US + rng.exponential(TAIL_US, int(each.sum()))
         where = disc[rng.integers(0, len(disc), len(t))]
-        parts.append((t, np.round(x) + where[:, 0], np.round(y) + where[:, 1], np.repeat(levels, n)))
+        parts.append((t, np.round(x) + where[:, 0], np.round(y) + where[:, 1], np.repeat(levels, each)))
     n = int(events_hz * (1.0 - inside) * seconds)
     edge = left - 24 if idle else left
     parts.append(
@@ -145,4 +145,4 @@ def corpus(
     named = tuple(
         Beacon(name=f"b{payload}", protocol="seed11", payload=payload, bit_rate=bit_rate) for payload in payloads
     )
-    return Corpus(batch, int(seconds * 1e6), places, named, len(batch) and 1.0 - n / len(batch))
+    return Corpus(batch, int(seconds * 1e6), places, named, 1.0 - n / max(len(batch), 1))

@@ -5,6 +5,7 @@ Times in it are in nominal bits since the lock's origin. The open slot is number
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -99,10 +100,16 @@ class State(NamedTuple):
     out: Floats
 
 
+@lru_cache
+def _words(words: tuple[int, ...], bits: int) -> npt.NDArray[np.uint8]:
+    """Return the words' bits, which no kernel changes: a track that is born every few ms does not unpack them again."""
+    return np.array([bits_of(word, bits) for word in words], np.uint8)
+
+
 def new_state(code: CyclicCode) -> State:
     """Return the state of a track that has no clock yet (55 kB)."""
     return State(
-        words=np.array([bits_of(word, code.bits) for word in code.words], np.uint8),
+        words=_words(code.words, code.bits),
         floats=np.zeros(FLOATS),
         ints=np.zeros(INTS, np.int64),
         ring=np.ones((RING, 4)),

@@ -71,6 +71,7 @@ class DecoderCore:
         self._stream: EventStream | None = None
         self._following: Following | None = None
         self._told_us = 0  # when Tracks last took effect
+        self._some_untold = False  # whether they left out a track
         self._refused = Refusals()  # to be published with the next window
         self._early: list[FrameRow] = []  # frames from the backlog, likewise
 
@@ -222,7 +223,7 @@ class DecoderCore:
         while (tracks := self._schedule.due(t0_us)) is not None:
             out += self._apply(following, tracks, t0_us)
         following.history.record(t0_us, following.regions.motion())
-        following.regions.rank([track.reading(t0_us) for track in following.tracks])
+        following.regions.rank(following.feeding.reading(t0_us))
         return out
 
     def _end_beat(self, following: Following, window: Window, now_us: int) -> list[Message]:
@@ -231,8 +232,9 @@ class DecoderCore:
         # A stream that ends on the grid has had its turn with the window before.
         if not window.last or now_us > window.t0_us:
             out += self._on_the_grid(following, now_us, last=window.last)
+        if window.last or self._is_on_the_grid(now_us):
+            self.gauges["identities"] = float(sum(track.read for track in following.tracks))
         self.gauges["tracks"] = float(len(following.tracks))
-        self.gauges["identities"] = float(sum(track.read for track in following.tracks))
         self.gauges["backlog_events"] = float(following.backlog.events)
         self.counters["identifications"] = self._identities.accepted
         self.counters["identities_withheld"] = self._identities.withheld
@@ -254,6 +256,7 @@ class DecoderCore:
         before = {track.name: track.state for track in following.tracks if track.state is not None}
         applied = following.apply(tracks, now_us)
         self._told_us = now_us
+        self._some_untold = not all(track.told for track in following.tracks)
         out: list[Message] = []
         # What a track has said so far, it has said under its old name.
         out += self._identities.renamed(before, following, applied, now_us)
@@ -278,6 +281,7 @@ class DecoderCore:
                 at = following.at(i, frame.t_us)
                 rows.append(FrameRow(track.serial, track.name, protocol, beacon, frame, at))
                 track.frame_us, track.frame_link = frame.t_us, one.link
+                following.feeding.framed(i, frame.t_us)
             else:
                 track.texts.append((one.link, one.item))
         self.counters["frames"] += len(rows)
@@ -286,6 +290,8 @@ class DecoderCore:
     def _sweep(self, following: Following, now_us: int) -> list[Message]:
         """End what nobody follows: tracks that are not read, and of which the tracker has not told for long."""
         silent = now_us - self._told_us > SILENCE_US
+        if not silent and not self._some_untold:
+            return []
         ended = [
             (track, following.at(i, now_us))
             for i, track in enumerate(following.tracks)

@@ -23,6 +23,7 @@ from heliograph.events import Flags, Times
 from heliograph_services.decoder.region_state import NEVER, Depths, Ints
 from heliograph_services.decoder.regions import Routed
 from heliograph_services.decoder.sorting import gather
+from heliograph_services.decoder.tracks import READING_US
 
 # A frame of 20 bits at 50 bit/s takes 400 ms, and may be dark for most of it.
 AWAKE_US: Final = 450_000
@@ -70,6 +71,7 @@ class Feeding:
         self._due_us: Ints = np.zeros(capacity, np.int64)
         self._heard_us: Ints = np.zeros(capacity, np.int64)  # end of the last window in which it heard something
         self._fed_us: Ints = np.zeros(capacity, np.int64)
+        self._frame_us: Ints = np.zeros(capacity, np.int64)  # end of the last frame
 
     def keep(self, kept: list[int]) -> None:
         """Keep these tracks alone, in this order."""
@@ -77,10 +79,20 @@ class Feeding:
             return
         self._drain()
         m = len(kept)
-        for row in (self._due_us, self._heard_us, self._fed_us):
+        for row in (self._due_us, self._heard_us, self._fed_us, self._frame_us):
             row[:m] = row[kept]
         self._left = [self._left[i] for i in kept]
         self.n = m
+
+    def reading(self, now_us: int) -> Flags:
+        """Return of which tracks, (n,), frames come at this moment (`Track.reading`)."""
+        frame_us = self._frame_us[: self.n]
+        found: Flags = (frame_us >= 0) & (frame_us >= now_us - READING_US)
+        return found
+
+    def framed(self, i: int, frame_us: int) -> None:
+        """Note when the last frame of track i ended."""
+        self._frame_us[i] = frame_us
 
     def append(self, now_us: int, heard: list[bool], due_us: list[int]) -> None:
         """Add tracks that have been fed up to now_us: whether each has heard something so far, and when it is due."""
@@ -88,6 +100,7 @@ class Feeding:
         self._heard_us[self.n : self.n + k] = np.where(heard, now_us, NEVER)
         self._due_us[self.n : self.n + k] = due_us
         self._fed_us[self.n : self.n + k] = now_us
+        self._frame_us[self.n : self.n + k] = -1
         # The windows before know nothing of it.
         self._drain()
         self._left += [None] * k

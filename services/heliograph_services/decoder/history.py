@@ -6,9 +6,14 @@ contend for a track. Its place is that of its own time; and what the tracker say
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from heliograph_services.decoder.region_state import Floats, Ints
+
+# Twice the paper's beacons; doubled where there are more.
+START_TRACKS: Final = 40
 
 
 class History:
@@ -22,12 +27,13 @@ class History:
         self._rows = rows
         self._n = 0
         self._t_us: Ints = np.empty(2 * rows, np.int64)
-        self._motion: Floats = np.empty((2 * rows, 4, 0), np.float64)
+        self._tracks = 0
+        self._motion: Floats = np.empty((2 * rows, 4, START_TRACKS), np.float64)
 
     def clear(self) -> None:
         """Forget all."""
         self._n = 0
-        self._motion = np.empty((2 * self._rows, 4, 0), np.float64)
+        self._tracks = 0
 
     def record(self, t_us: int, motion: Floats) -> None:
         """Note x, y, vx, vy of all tracks, (4, n), at a time after the last one noted, or, instead of them, at it."""
@@ -36,23 +42,27 @@ class History:
         if self._n == 2 * self._rows:
             self._n = self._rows
             self._t_us[: self._n] = self._t_us[self._rows :]
-            self._motion[: self._n] = self._motion[self._rows :]
+            self._motion[: self._n, :, : self._tracks] = self._motion[self._rows :, :, : self._tracks]
         self._t_us[self._n] = t_us
-        self._motion[self._n] = motion
+        self._motion[self._n, :, : self._tracks] = motion
         self._n += 1
 
     def keep(self, kept: list[int]) -> None:
         """Keep these tracks alone, in this order."""
-        self._motion = self._motion[:, :, kept]
+        if kept != list(range(self._tracks)):
+            self._motion[: self._n, :, : len(kept)] = self._motion[: self._n, :, kept]
+            self._tracks = len(kept)
 
     def append(self, t_us: Ints, trail: Floats) -> None:
         """Add a track with its trail: (4, m) at m > 0 rising times; before and behind it, its ends."""
+        if self._tracks == self._motion.shape[2]:
+            wider = np.empty((2 * self._rows, 4, 2 * self._tracks), np.float64)
+            wider[: self._n, :, : self._tracks] = self._motion[: self._n]
+            self._motion = wider
         at = self._t_us[: self._n]
-        wider = np.empty((2 * self._rows, 4, self._motion.shape[2] + 1), np.float64)
-        wider[:, :, :-1] = self._motion
         for row in range(4):
-            wider[: self._n, row, -1] = np.interp(at, t_us, trail[row])
-        self._motion = wider
+            self._motion[: self._n, row, self._tracks] = np.interp(at, t_us, trail[row])
+        self._tracks += 1
 
     def at(self, i: int, t_us: int) -> tuple[float, float, float, float] | None:
         """Return x, y, vx, vy of track i then, interpolated; None behind the last time noted."""

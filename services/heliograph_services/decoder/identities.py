@@ -64,7 +64,7 @@ class Identities:
     def decide(self, following: Following, now_us: int) -> list[Message]:
         """Return what tracks have accepted, changed or lost up to now_us."""
         out: list[Message] = []
-        found = [track.links.accepted(now_us) for track in following.tracks]
+        found = [None if track.links.winner is None else track.links.accepted(now_us) for track in following.tracks]
         withheld = self._withheld(following, found, now_us)
         for i, (track, one) in enumerate(zip(following.tracks, found, strict=True)):
             if one is not None and i in withheld:

@@ -16,7 +16,7 @@ from typing import Final
 
 from heliograph.errors import Refusals
 from heliograph.events import Flags, Times
-from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Punctual, Receiver, Text, Verdict
+from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Receiver, Text, Verdict
 from heliograph_services.decoder.link_plan import LinkPlan
 from heliograph_services.decoder.measuring import Measuring
 from heliograph_services.decoder.region_state import Depths
@@ -73,7 +73,7 @@ class TrackLinks:
     def __init__(self, plan: LinkPlan) -> None:
         self._plan = plan
         self._contenders: list[_Contender] = []
-        self._winner: _Contender | None = None
+        self.winner: _Contender | None = None  # whose identity the track holds
         self._refusals = Refusals()
         self._measuring = Measuring(plan.measure)
         self._rates: tuple[float, ...] = ()  # measured ones
@@ -136,15 +136,15 @@ class TrackLinks:
         return self._settle(now_us, hold_us=-FOREVER_US)
 
     def _settle(self, now_us: int, hold_us: int = CONTEST_US) -> list[Decided]:
-        if self._winner is not None and not self._supported(self._winner, now_us):
-            self._winner = None
+        if self.winner is not None and not self._supported(self.winner, now_us):
+            self.winner = None
             absent = [i for i in range(len(self._plan.rows)) if all(one.link != i for one in self._contenders)]
             self._entered_us = now_us
             self._enter(absent)
-        elif self._winner is None:
+        elif self.winner is None:
             self._vote(now_us)
         self._renew(now_us)
-        if len(self._contenders) == 1 and (self._winner is not None or not self._rates):
+        if len(self._contenders) == 1 and (self.winner is not None or not self._rates):
             # The usual case: nothing is held back.
             only = self._contenders[0]
             told, only.held = only.held, []
@@ -162,7 +162,7 @@ class TrackLinks:
 
     def _hopeless(self, now_us: int) -> bool:
         """Return whether nobody has read anything at the measured rates for long enough."""
-        if self._winner is not None or not self._rates or not self._contenders:
+        if self.winner is not None or not self._rates or not self._contenders:
             return False
         trial_us = max(TRIAL_US, round(TRIAL_BITS * 1e6 / min(self._rates)))
         if now_us - self._entered_us < trial_us:
@@ -179,15 +179,15 @@ class TrackLinks:
         accepting = [one for one in self._contenders if self._supported(one, now_us)]
         if not accepting:
             return
-        self._winner = max(accepting, key=lambda one: (_margin(one), -one.link))
+        self.winner = max(accepting, key=lambda one: (_margin(one), -one.link))
         self.contested += len(accepting) > 1
         if self._rates:
-            self._rates = (self._winner.bit_rate,)
+            self._rates = (self.winner.bit_rate,)
         for one in self._contenders:
-            if one is not self._winner:
+            if one is not self.winner:
                 self._count(one)
                 self.outvoted += len(one.held)
-        self._contenders = [self._winner]
+        self._contenders = [self.winner]
 
     def _renew(self, now_us: int) -> None:
         """Replace receivers that gave up long ago."""
@@ -210,10 +210,10 @@ class TrackLinks:
 
     def accepted(self, now_us: int) -> Accepted | None:
         """Return the identity that the track holds at now_us."""
-        if self._winner is None or not self._supported(self._winner, now_us):
+        if self.winner is None or not self._supported(self.winner, now_us):
             return None
-        identity = self._winner.receiver.identity()
-        return None if identity is None else Accepted(self._winner.link, identity)
+        identity = self.winner.receiver.identity()
+        return None if identity is None else Accepted(self.winner.link, identity)
 
     def verdict(self, now_us: int) -> Verdict:
         """Return what the track is: the best that any of its receivers says."""
@@ -252,7 +252,8 @@ class TrackLinks:
 def _contender(plan: LinkPlan, link: int, bit_rate: float) -> _Contender:
     """Return a new contender, with what does not change as it goes on."""
     receiver = plan.receiver(link, bit_rate)
-    due_us = receiver.due_us if isinstance(receiver, Punctual) else None
+    # Not isinstance(..., Punctual): that takes half a millisecond of each birth.
+    due_us: Callable[[], int] | None = getattr(receiver, "due_us", None)
     loss_us = plan.loss_after_us(link, bit_rate)
     return _Contender(link, receiver, bit_rate, plan.depth(link, bit_rate), loss_us, due_us)
 

@@ -137,6 +137,7 @@ def fastest(state: Floats, n: int) -> float:
 def carry(state: Floats, n: int, us: float) -> None:
     """Predict all regions by so many microseconds."""
     s = us / US_PER_S
+    third, half = s * s * s / 3.0, s * s / 2.0
     for i in range(n):
         vx, vy = state[VX, i], state[VY, i]
         if state[TURN, i] != 0.0:
@@ -147,13 +148,14 @@ def carry(state: Floats, n: int, us: float) -> None:
             state[VX, i], state[VY, i] = cos * vx - sin * vy, sin * vx + cos * vy
         state[X, i] = min(max(state[X, i] + vx * s, -PLACE_LIMIT_PX), PLACE_LIMIT_PX)
         state[Y, i] = min(max(state[Y, i] + vy * s, -PLACE_LIMIT_PX), PLACE_LIMIT_PX)
-        turn_px_s2 = (state[VX, i] * state[VX, i] + state[VY, i] * state[VY, i]) / TURN_RADIUS_PX
+        turn_px_s2 = (state[VX, i] * state[VX, i] + state[VY, i] * state[VY, i]) * (1.0 / TURN_RADIUS_PX)
         q = max(state[Q, i], min(2.0 * TURN_S * turn_px_s2 * turn_px_s2, Q_TURN_MAX))
         q = min(q, Q_SHARED) if state[SHARED, i] else q
-        xx = state[P_XX, i] + s * (2.0 * state[P_XV, i] + s * state[P_VV, i]) + q * s * s * s / 3.0
-        xv = state[P_XV, i] + s * state[P_VV, i] + q * s * s / 2.0
-        state[P_XX, i] = min(max(xx, 0.0), P_XX_LIMIT)
-        state[P_VV, i] = min(max(state[P_VV, i] + q * s, 0.0), P_VV_LIMIT)
+        xx = state[P_XX, i] + s * (2.0 * state[P_XV, i] + s * state[P_VV, i]) + q * third
+        xv = state[P_XV, i] + s * state[P_VV, i] + q * half
+        xx = min(max(xx, 0.0), P_XX_LIMIT)
+        vv = min(max(state[P_VV, i] + q * s, 0.0), P_VV_LIMIT)
         # What limits and rounding leave must be a covariance.
-        most = math.sqrt(state[P_XX, i] * state[P_VV, i])
-        state[P_XV, i] = min(max(xv, -most), most)
+        if xv * xv > xx * vv:
+            xv = math.copysign(math.sqrt(xx * vv), xv)
+        state[P_XX, i], state[P_XV, i], state[P_VV, i] = xx, xv, vv

@@ -222,22 +222,26 @@ class Regions:
 
     def shift(self, i: int, d_px: tuple[float, float], dv_px_s: tuple[float, float], sure: Doubt) -> None:
         """Move region i by so much, and say how sure it is then."""
-        self._state[[X, Y], i] += d_px
-        self._state[[VX, VY], i] += dv_px_s
-        self._state[[P_XX, P_XV, P_VV], i] = (sure.xx, sure.xv, sure.vv)
+        # One by one: rows chosen by a list take ten times as long.
+        state = self._state
+        state[X, i] += d_px[0]
+        state[Y, i] += d_px[1]
+        state[VX, i] += dv_px_s[0]
+        state[VY, i] += dv_px_s[1]
+        state[P_XX, i], state[P_XV, i], state[P_VV, i] = sure.xx, sure.xv, sure.vv
 
     def resize(self, i: int, reach_px: float, radius_px: float) -> None:
         """Let region i reach so far, for a target of that radius."""
         if (self._state[REACH, i], self._state[RADIUS, i]) != (reach_px, radius_px):
             # Its histogram has another width from here on.
             self._forget(i, i + 1)
-            self._state[[REACH, RADIUS], i] = (reach_px, radius_px)
+            self._state[REACH, i], self._state[RADIUS, i] = reach_px, radius_px
 
-    def rank(self, read: list[bool]) -> None:
-        """Say which regions are being read at this moment."""
-        ranks = np.array(read, np.float64)
-        if not np.array_equal(self._state[RANK, : self.n], ranks):
-            self._state[RANK, : self.n] = ranks
+    def rank(self, read: Flags) -> None:
+        """Say which regions, (n,), are being read at this moment."""
+        ranks = self._state[RANK, : self.n]
+        if (ranks != read).any():
+            ranks[:] = read
             self._repaint()
 
     def _forget(self, first: int, behind: int) -> None:
@@ -259,11 +263,12 @@ class Regions:
 
     def doubt(self, i: int) -> Doubt:
         """Return how sure that is."""
-        return Doubt(*(float(value) for value in self._state[[P_XX, P_XV, P_VV], i]))
+        xx, xv, vv = self._state[P_XX : P_VV + 1, i].tolist()
+        return Doubt(xx, xv, vv)
 
     def motion(self) -> Floats:
         """Return a copy of x, y, vx, vy of all regions at now_us, (4, n)."""
-        return self._state[[X, Y, VX, VY], : self.n]
+        return self._state[: VY + 1, : self.n].copy()
 
     def drive(self, i: int) -> float:
         """Return q, the intensity of the acceleration that region i is allowed."""
