@@ -85,6 +85,16 @@ def learn(x: int, counts: npt.NDArray[np.int32], rate: Floats, seen: npt.NDArray
             rate[other, p, k] += along * (counts[p, k] - rate[other, p, k])
 
 
+@numba.njit(nogil=True)
+def _beside(rate: Floats, p: int, k: int) -> float:
+    """Return the rate beside a transition of polarity p: before a rise and after a fall that of the dark, else the lit.
+
+    A light that moves goes on making events once it is lit: taken for late ones of its rise, they would draw the clock.
+    """
+    lit = (k < SUB // 2) == (p == 0)
+    return float(rate[LIT if lit else DARK, p, k])
+
+
 @numba.njit(cache=True, nogil=True)
 def tabulate(
     rate: Floats, logs: Floats, total: Floats, core: npt.NDArray[np.bool_], share: Floats, figures: Floats
@@ -125,14 +135,16 @@ def tabulate(
             if not core[p, k]:
                 outside += max(quiet, 0.25 * rate[edge, p, k])
         for k in range(SUB):
-            share[p, k] = 0.0
             # As wide as the clock may be off: a shifted response must still be seen to be steered back.
+            quiet, whole = 0.0, 0.0
             for near in range(max(k - REACH, 0), min(k + REACH, SUB - 1) + 1):
-                quiet = 0.5 * (rate[DARK, p, near] + rate[LIT, p, near]) + stray
-                share[p, k] = max(share[p, k], 1.0 - quiet / max(rate[edge, p, near] + stray, quiet))
+                beside = _beside(rate, p, near)
+                quiet += beside + stray
+                whole += max(rate[edge, p, near], beside) + stray
+            share[p, k] = 1.0 - quiet / whole
         figures[3 + p], figures[5 + p], figures[7 + p] = 0.0, 0.0, 0.0
         for k in range(SUB):
-            quiet = 0.5 * (rate[DARK, p, k] + rate[LIT, p, k])
+            quiet = _beside(rate, p, k)
             figures[3 + p] += quiet * share[p, k]
             figures[5 + p] += quiet * share[p, k] * ((k + 0.5) / SUB - 0.5)
             figures[7 + p] += max(rate[edge, p, k] - quiet, 0.0) * share[p, k]
