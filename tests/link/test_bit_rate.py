@@ -24,6 +24,26 @@ def test_the_rate_of_a_code_is_found(name: str, payload: int, bit_rate: float, l
     assert found(likely_bit_rates(what.t_us, what.on), bit_rate)
 
 
+@pytest.mark.parametrize(("name", "payload"), [("code", 3), ("code", 138), ("code", 315)])
+def test_a_word_whose_intervals_are_all_odd_is_not_taken_for_one_of_half_the_rate_alone(
+    name: str, payload: int
+) -> None:
+    what = seen(Light(), repeated(modulation(name).encode(payload), 10), 100.0, 1)
+    assert found(likely_bit_rates(what.t_us, what.on), 100.0)
+
+
+def test_a_word_of_nearly_equal_runs_has_its_own_rate() -> None:
+    what = seen(Light(), repeated(modulation("seed11").encode(12), 22), 100.0, 1)
+    assert found(likely_bit_rates(what.t_us, what.on), 100.0)
+
+
+@pytest.mark.parametrize("payload", [2, 5, 42])
+def test_fifty_bits_a_second_are_named_within_a_second(payload: int) -> None:
+    what = seen(Light(), repeated(modulation("seed11").encode(payload), 6), 50.0, 1)
+    soon = what.t_us < what.t_us[0] + 1_000_000
+    assert found(likely_bit_rates(what.t_us[soon], what.on[soon]), 50.0)
+
+
 @pytest.mark.parametrize("payload", [0, 1, 7, 31])
 def test_a_periodic_word_has_no_rate(payload: int) -> None:
     what = seen(Light(), repeated(modulation("seed11").encode(payload), 60), 1000.0, 1)

@@ -98,6 +98,23 @@ def test_wrong_characters_are_withheld_where_edges_are_dropped() -> None:
     assert right > 0.6 * len(text)
 
 
+def test_bits_smeared_over_their_neighbours_are_read() -> None:
+    # .6 bit of jitter: the events themselves show no clock.
+    bits = (*KIND.encode(SENTENCE * 20), *(0,) * 40)
+    light = AsyncPixels(pixels=100, jitter_us=10.0, refractory_us=2.0)
+    got = read(KIND.receiver(60_000.0), *sent(bits, 60_000.0, light, 9))
+    assert longest_common(SENTENCE * 20, got.text) >= 0.9 * len(SENTENCE * 20)
+
+
+@pytest.mark.parametrize("jitter_us", [1.0, 5.0])
+def test_pixels_that_are_blind_for_longer_than_a_bit_are_read(jitter_us: float) -> None:
+    bits = (*KIND.encode(TEXT), *(0,) * 40)
+    light = AsyncPixels(pixels=50, jitter_us=jitter_us, refractory_us=20.0)
+    got = read(KIND.receiver(60_000.0), *sent(bits, 60_000.0, light, 1))
+    assert TEXT.endswith(got.text)
+    assert len(got.text) >= len(TEXT) - 4
+
+
 def test_an_idle_light_is_no_refusal_and_the_next_text_follows() -> None:
     bits = (*KIND.encode(TEXT), *(1,) * 400, *KIND.encode(TEXT), *(0,) * 40)
     receiver = KIND.receiver(60_000.0)

@@ -11,6 +11,8 @@ from heliograph.link.contract import LinkFrame
 from heliograph.link.modulations import modulation
 from heliograph.link.modulations.uart import Uart
 from heliograph.link.uart_layout import text_bits
+from heliograph_services.cli.link_light import Damage
+from heliograph_services.cli.link_trials import Section, make_trial, run_trial, slots_of
 from support.text_light import TextLight, Watched, edits, hear, joined, watch, watch_text
 
 TEXT = (
@@ -170,3 +172,23 @@ def test_nothing_is_known_of_a_track_without_events() -> None:
     assert receiver.identity() is None
     assert receiver.verdict(10_000_000) == "new"
     assert receiver.quality(10_000_000).mar_estimate is None
+
+
+@pytest.mark.parametrize(
+    ("damage", "read_least", "wrong_most"),
+    [
+        (Damage(edge_jitter_bits=0.1), 0.98, 4),
+        (Damage(edge_jitter_bits=0.2), 0.96, 16),
+        (Damage(dropped=0.02), 0.94, 4),
+    ],
+    ids=["edges early or late by .1 bit", "by .2 bit", "one edge in fifty lost"],
+)
+def test_edges_that_are_displaced_or_lost_cost_hardly_more_than_what_they_make_ambiguous(
+    damage: Damage, read_least: float, wrong_most: int
+) -> None:
+    section = Section("uart", 3125.0, 80)
+    trial = make_trial(section, damage, 2.5, 9)
+    scored = run_trial(trial, lambda: Uart().receiver(3125.0), slots_of(section))
+    sent, right, wrong = (sum(getattr(c, k) for c in scored.seconds.values()) for k in ("sent", "right", "wrong"))
+    assert right >= read_least * sent
+    assert wrong <= wrong_most

@@ -17,8 +17,11 @@ interval between equal changes.
 
 The highest peak need not be the right one: a sensor that is read out in scans shows all changes on the grid of its
 scans (of rate s: C near 1), and has images at k s +- 1/T; and a short word has few intervals. So several are named, and
-who reads something decides; fractions of a longer bit that are no more coherent, and images, are left out. A periodic
-light (a lamp, a word with a single run of ones) has one interval alone: its T would be a guess.
+who reads something decides; fractions of a longer bit that are no more coherent, and images, are left out. A word whose
+intervals between changes are all odd shows 2 T as well as T, but with an offset of T between its polarities, as if OFF
+events came half a bit of 2 T late: so where ``mean_j cos(2 pi d_j / T)`` of all neighbours is negative at 2 T and not
+at T, T is named too. A periodic light (a lamp, a word with a single run of ones) has one interval alone: its T would be
+a guess.
 """
 
 from __future__ import annotations
@@ -38,7 +41,8 @@ Floats = npt.NDArray[np.float64]
 
 # Changes used at most, the newest: enough for any code, and a bound on the work (800 x 1200 turns, 10 ms).
 CHANGES: Final = 400
-INTERVALS_LEAST: Final = 24
+# Fewer could not be coherent enough to be no chance (`SURPRISE`): the words of fewest edges then name 50 bit/s in .6 s.
+INTERVALS_LEAST: Final = 14
 # h, in swings to which half of all that S moves belongs; and whether the first event is the time.
 TURNS: Final = ((1.0 / 3.0, True), (1.0 / 2.0, False))
 # 50 bit/s to 20 kbit/s, and clocks that are 3 % off.
@@ -59,6 +63,7 @@ RATES: Final = 6
 # Candidates this near to a whole fraction of a longer one, as a share, are that one's.
 FRACTION: Final = 0.02
 BETTER: Final = 0.1
+STRAIGHTER: Final = 1.0
 # Intervals this near to their median, as a share, are the same: a lamp's flicker keeps 1 %, jitter adds the rest.
 PERIODIC_SPREAD: Final = 0.06
 
@@ -110,8 +115,8 @@ def _periodic(intervals: Floats) -> bool:
 
 
 @numba.njit(cache=True, nogil=True)
-def _coherence(at_us: Floats, first_rises: bool, bits_us: Floats, coherence: Floats) -> None:
-    """Fill coherence with C of each bit length; at_us are changes that alternate."""
+def _coherence(at_us: Floats, first_rises: bool, bits_us: Floats, coherence: Floats, straight: Floats) -> None:
+    """Fill coherence with C of each bit length, straight with the neighbours' mean cosine; at_us alternate."""
     n = len(at_us)
     for k in range(len(bits_us)):
         turn = 2.0 * math.pi / bits_us[k]
@@ -135,6 +140,7 @@ def _coherence(at_us: Floats, first_rises: bool, bits_us: Floats, coherence: Flo
         half = 0.5 * (n - 1)
         apart = (sums[0] ** 2 + sums[1] ** 2 + sums[2] ** 2 + sums[3] ** 2) / (2.0 * half * half)
         coherence[k] = min(alike / (2 * n - 6), 1.5 * math.sqrt(apart))
+        straight[k] = (sums[0] + sums[2]) / (n - 1)
 
 
 def _coherent(at_us: Floats, rises: Flags, shortest_us: float, longest_us: float) -> list[tuple[float, float]]:
@@ -145,17 +151,18 @@ def _coherent(at_us: Floats, rises: Flags, shortest_us: float, longest_us: float
     if top_us <= shortest_us:
         return []
     bits_us = np.geomspace(shortest_us, top_us, int(math.log(top_us / shortest_us) / RESOLUTION) + 2)
-    coherence = np.empty(len(bits_us))
-    _coherence(at_us, bool(rises[0]), bits_us, coherence)
+    coherence, straight = np.empty(len(bits_us)), np.empty(len(bits_us))
+    _coherence(at_us, bool(rises[0]), bits_us, coherence, straight)
     around = np.concatenate([[-1.0], coherence, [-1.0]])
     peaks = np.flatnonzero((coherence >= around[:-2]) & (coherence > around[2:]))
     least = max(COHERENT, math.sqrt(SURPRISE / len(intervals)), OF_THE_BEST * float(coherence.max()))
-    found: list[tuple[float, float]] = []
+    found: list[tuple[float, float, float]] = []
     for peak in peaks[coherence[peaks] >= least][::-1]:
-        bit_us, c = _refined(intervals, float(bits_us[peak])), float(coherence[peak])
-        if not any(_is_fraction(longer_us / bit_us) and c < longer_c + BETTER for longer_c, longer_us in found):
-            found.append((c, bit_us))
-    return sorted(_without_images(found), reverse=True)[:RATES]
+        bit_us, c, s = _refined(intervals, float(bits_us[peak])), float(coherence[peak]), float(straight[peak])
+        longer = [one for one in found if _is_fraction(one[2] / bit_us)]
+        if all(c >= one[0] + BETTER or s >= one[1] + STRAIGHTER for one in longer):
+            found.append((c, s, bit_us))
+    return sorted(_without_images([(c, bit_us) for c, _, bit_us in found]), reverse=True)[:RATES]
 
 
 def _is_fraction(ratio: float) -> bool:
@@ -163,14 +170,20 @@ def _is_fraction(ratio: float) -> bool:
 
 
 def _without_images(found: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Leave out the rates that mirror a lower one at a multiple of a scan's rate; found is (C, bit)."""
-    for scan in [US_PER_S / bit_us for c, bit_us in found if c > SCANNED]:
+    """Leave out the rates that mirror a lower one at a multiple of a scan's rate; found is (C, bit).
+
+    A scan's grid holds all changes, so nothing is more coherent than it.
+    """
+    for scan_c, scan in [(c, US_PER_S / bit_us) for c, bit_us in found if c > SCANNED]:
         kept: list[tuple[float, float]] = []
         offsets: list[float] = []
         for c, bit_us in sorted(found, key=lambda one: -one[1]):
             rate = US_PER_S / bit_us
             offset = abs(rate - scan * round(rate / scan))
-            if rate == scan or not any(abs(offset - other) < IMAGE * rate for other in offsets):
+            if rate == scan or c > scan_c:
+                # What mirrors the scan itself is a multiple, and has been judged as a fraction of its bit.
+                kept.append((c, bit_us))
+            elif not any(abs(offset - other) < IMAGE * rate for other in offsets):
                 kept.append((c, bit_us))
                 offsets.append(offset)
         found = kept
@@ -189,4 +202,4 @@ def _refined(intervals: Floats, bit_us: float) -> float:
 def warm() -> None:
     """Compile, or load from the cache, the kernels of this module."""
     _changes(np.arange(2), np.array([True, False]), 0.5, by_first=True)
-    _coherence(np.arange(5.0), True, np.ones(1), np.empty(1))
+    _coherence(np.arange(5.0), True, np.ones(1), np.empty(1), np.empty(1))
