@@ -12,7 +12,7 @@ The kinds are those of the scenario `clutter`, in its proportions (LIGHTS: 32 a 
     monitor     1  50 to 240 images a second, each a random step of light, behind a back light of PWM
     noise       1  100 to 1e5 events a second
 
-How it is seen: a change makes Poisson(k) events, k log-uniform in 3 to 20; late by 20 to 80 us (OFF 0 to 60 more), with
+How it is seen: a change makes Poisson(k) events, k log-uniform in 1.5 to 20; late by 20 to 80 us (OFF 0 to 60 more), with
 an exponential tail of 10 to 80 us; 1 to 1000 events a second of noise; half of the sensors are read out in scans of 65
 or 199 us. What is simulated pixel by pixel, here is not: refractory time, bandwidth, the shape of an image, motion.
 """
@@ -65,7 +65,7 @@ def watched(label: str, edges: Edges, seconds: float, rng: np.random.Generator, 
     until_us = int(seconds * 1e6)
     inside = at_us < until_us
     at_us, levels = at_us[inside], levels[inside]
-    k = log_uniform(rng, 3.0, 20.0)
+    k = log_uniform(rng, 1.5, 20.0)
     k = min(k, EVENTS_MOST * seconds / max(len(at_us), 1))
     many = rng.poisson(k, len(at_us))
     on = np.repeat(levels, many)

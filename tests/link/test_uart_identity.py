@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from math import log
+
 import numpy as np
 import pytest
 
 from heliograph.errors import Refusal
-from heliograph.link.contract import Text
+from heliograph.link.contract import LinkFrame, Text
 from heliograph.link.modulations.uart import Uart
+from heliograph.link.text_identity import TextIdentity
+from heliograph.link.uart_follow import Decision
 from support.text_light import TextLight, Watched, hear, joined, watch, watch_text
 
 TEXT = "Thou art more lovely and more temperate:\n"
@@ -41,6 +45,27 @@ def test_random_bits_at_the_right_rate_are_no_text_beacon(seed: int) -> None:
     receiver = Uart().receiver(3125.0)
     assert hear(receiver, watch(TextLight(), bits, 3125.0, seed)) == []
     assert receiver.refusals[Refusal.PARITY] + receiver.refusals[Refusal.STOP_BITS] > 0
+
+
+@pytest.mark.parametrize(("events", "lit"), [(3.0, 0.5), (6.0, 0.5), (20.0, 0.7)])
+def test_runs_of_random_bits_are_worth_no_more_than_chance_however_weak_the_light(
+    events: float, lit: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    worth: list[float] = []
+    take = TextIdentity.take
+
+    def note(self: TextIdentity, decision: Decision, end_us: int) -> list[LinkFrame | Text]:
+        out = take(self, decision, end_us)
+        worth.append(self.worth)
+        return out
+
+    monkeypatch.setattr(TextIdentity, "take", note)
+    bits = (np.random.default_rng(7).random(60_000) < lit).astype(int).tolist()
+    assert hear(Uart().receiver(1000.0), watch(TextLight(events=events), bits, 1000.0, seed=7)) == []
+    # Of so many decisions one in e^x may exceed x nats.
+    most = np.sort(worth)[::-1]
+    assert len(worth) > 500
+    assert most[0] < log(len(worth)) + 4.0
 
 
 @pytest.mark.parametrize("word", ["11101010101", "11101010100"], ids=["even", "paper_text"])

@@ -10,7 +10,7 @@ from heliograph.link.sub_bins import LEAD_BINS, QUIET_BINS, SubBins
 from heliograph.link.uart_layout import CONTEXTS, IDLE_CONTEXT, character_bits
 from heliograph.link.uart_lock import LOCK_BINS, lock
 from heliograph.link.uart_paths import IDLE, explain
-from heliograph.link.uart_words import near, skip_idle, slots_of
+from heliograph.link.uart_words import any_word, near, skip_idle, slots_of
 from reference import uart_plain
 from support.text_light import TextLight, watch_text
 
@@ -34,6 +34,8 @@ def test_the_best_character_its_runner_up_and_the_free_word_are_those_of_all_wor
     assert second == pytest.approx(np.sort(characters)[-2], abs=1e-9)
     assert free == pytest.approx(words.max(), abs=1e-9)
     assert words[word] == pytest.approx(words.max(), abs=1e-9)
+    together = words.max() + np.log(np.exp(words - words.max()).sum())
+    assert any_word(counts, 8, slots_of(SUB_BINS), before, response.tables) == pytest.approx(together, abs=1e-9)
 
 
 def ideal(bits: list[int]) -> np.ndarray[tuple[int, int], np.dtype[np.int32]]:

@@ -7,6 +7,15 @@ they are worth 1/2. A run of good characters is worth the product; the track is 
 (ten characters one right after another: 16^-10 = 9e-13), so that the chance stays below 1e-10 a bit position although a
 run may begin at any of several sub-bins.
 
+That holds where bits are clear. In weak light the likeliest character may be good although other words fit as well:
+random bits of six events a change made good characters in one of three places, not of sixteen. So a character also
+costs its doubt, the nats by which all 2^11 words together exceed it (`heliograph.link.uart_words.any_word`)::
+
+    16 L(c) / sum_w L(w)        its sum over the 128 characters has a mean of 1 over random bits
+
+and the product over a run exceeds 1e12 with a chance of at most 1e-12 (Ville's inequality), however weak the light.
+Bits of no character end a run, however few: who may skip some at will soon finds a character.
+
 Where a character follows another at once, it also comes on time, while another
 light's lie anywhere in the 13 sub-bins in which they are looked for. So an offset of e sub-bins costs::
 
@@ -17,7 +26,7 @@ at random, 12 ms each on average, made 30 good characters in a row at 1000 bit/s
 the chain of bits that suits it best: bit b follows bit a with the chance p_ab, taken from the run's own n_ab (start to
 last stop bit, k characters)::
 
-    worth = m ln 2 + min(m ln 8 + (k - m) ln 2, sum_ab n_ab ln(1 / p_ab) - k ln 128) + what the offsets cost
+    worth = m ln 2 + min(m ln 8 + (k - m) ln 2, sum_ab n_ab ln(1 / p_ab) - k ln 128) - offsets and doubt
 
 with p_ab = n_ab / (n_a0 + n_a1) and m characters one right after another. The first in the brackets is the rule above;
 the second is the likelihood ratio of "any of 128 characters" to the best chain, never more than to the true one: any
@@ -95,12 +104,13 @@ class RunWorth:
     def __init__(self) -> None:
         self._characters = 0
         self._at_once = 0
-        self._late = 0.0  # what the offsets cost
+        self._late = 0.0  # what offsets and doubt cost
         self._steps = [0, 0, 0, 0]
 
-    def add(self, code: int, *, after_idle: bool, offset: float = 0.0) -> None:
-        """Take the run's next character, found so many sub-bins off its clock."""
+    def add(self, code: int, *, after_idle: bool, offset: float = 0.0, doubt: float = 0.0) -> None:
+        """Take the run's next character, found so many sub-bins off its clock, and in such doubt."""
         self._characters += 1
+        self._late -= max(doubt, 0.0)
         if not after_idle:
             self._at_once += 1
             self._late += min(0.0, OFFSET_FREE - 0.5 * (offset / OFFSET_SIGMA) ** 2)
@@ -153,6 +163,11 @@ class TextIdentity:
         """Whether the track is a text beacon."""
         return self._since_us is not None
 
+    @property
+    def worth(self) -> float:
+        """What the run is worth, in nats; `WORTH_NEEDED` and news make an identity."""
+        return self._worth.value
+
     def begin(self, t_us: int) -> None:
         """Take note of the track's first event."""
         if self._begun_us is None:
@@ -202,7 +217,10 @@ class TextIdentity:
 
     def _good(self, decision: Decision, code: int, end_us: int) -> None:
         self._score = min(self._score + GAIN, SCORE_MAX)
-        self._worth.add(code, after_idle=decision.after_idle, offset=decision.offset)
+        if decision.after_junk:
+            self._worth = RunWorth()
+            self._run.clear()
+        self._worth.add(code, after_idle=decision.after_idle, offset=decision.offset, doubt=decision.doubt)
         self._run.append(code)
         self._frames += 1
         self._margin += decision.margin

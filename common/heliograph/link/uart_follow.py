@@ -26,7 +26,7 @@ from heliograph.link.step_response import SUB_BINS, Counts
 from heliograph.link.uart_layout import CHARACTER_BITS, IDLE_CONTEXT
 from heliograph.link.uart_lock import CLOCK_MAX, WORDS, Lock, is_good
 from heliograph.link.uart_paths import IDLE, explain
-from heliograph.link.uart_words import near, skip_idle, slots_of
+from heliograph.link.uart_words import any_word, near, skip_idle, slots_of
 
 REACH: Final = 6  # 3/8 bit: the clock is held to a few sub-bins; half a bit would let in the neighbouring framing
 REACH_AFTER_IDLE: Final = 10
@@ -68,6 +68,8 @@ class Decision:
         margin: nats to the runner-up.
         offset: where it was found, against its clock, in sub-bins.
         events: number of events in its bits.
+        after_junk: bits of no character lie before it, too few to be told.
+        doubt: log-likelihood (nats) of all words of 11 bits together over the character's; 0 where that is clear.
     """
 
     start: float
@@ -79,6 +81,8 @@ class Decision:
     margin: float
     offset: float
     events: int
+    doubt: float = 0.0
+    after_junk: bool = False
 
 
 def reason(word: int, events: int, events_per_transition: float) -> Refusal:
@@ -110,6 +114,7 @@ class Follower:
         self._before = IDLE_CONTEXT
         self._mode = Mode.NEXT
         self._after_idle = True
+        self._after_junk = False
         self._level_known = False
         self._reach = REACH
         self._centre = self.response.change_centre()
@@ -164,6 +169,7 @@ class Follower:
                 self._reach = REACH
             return None
         margin = likelihood - second
+        others = any_word(counts, start + offset - base, self._slots, self._before, self.response.tables)
         error = refined + start - self.position
         self._steer(error)
         begin = self.position
@@ -174,7 +180,8 @@ class Follower:
         released = good or (seen >= SEEN_LEAST and not unseen and sure)
         if released:
             self._learn(counts, at, int(WORDS[code]), good=good and seen == 1.0)
-        after_idle = self._after_idle
+        after_idle, after_junk = self._after_idle, self._after_junk
+        self._after_junk = False
         self._move(begin + CHARACTER_BITS * self.bit_bins, int(WORDS[code]) & IDLE_CONTEXT)
         self._level_known = not unseen
         return Decision(
@@ -187,6 +194,8 @@ class Follower:
             margin=margin,
             offset=offset if after_idle else error,
             events=events,
+            doubt=others - likelihood,
+            after_junk=after_junk,
         )
 
     def _move(self, position: float, before: int) -> None:
@@ -248,6 +257,7 @@ class Follower:
             self._mode = Mode.IDLE
         elif first < steps:
             self._mode = Mode.NEXT
+        self._after_junk |= junk > 0
         if junk < CHARACTER_BITS * SUB_BINS // 2:
             return None
         self._level_known = False

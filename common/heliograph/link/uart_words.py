@@ -4,7 +4,8 @@ With l(g, c) the log-likelihood (nats) that a bit of context c begins at sub-bin
 
 * a *character* w at g after the context b:  l_w(g) = sum_n l(g + slot_n, context of bit n of b w),
 * a *free word*: the best of all 2^11 words at g, whatever its start, parity and stop bits; what it gains over the best
-  character (the deficit) tells whether there is a character at all, and its bits why not.
+  character (the deficit) tells whether there is a character at all, and its bits why not,
+* *any word*: the sum over all 2^11 words: what a character's likelihood is worth against random bits.
 """
 
 from __future__ import annotations
@@ -100,6 +101,25 @@ def _free_word(rows: Table, at: int, slots: Slots, before: int) -> tuple[float, 
         old_word, new_word = new_word, old_word
     best = old.argmax()
     return old[best], old_word[best]
+
+
+@numba.njit(cache=True, nogil=True)
+def any_word(counts: Counts, start: int, slots: Slots, before: int, tables: Tables) -> float:
+    """Return the logarithm of the summed likelihoods of all 2^11 words that begin at start."""
+    contexts = tables[2].shape[0]
+    row = np.empty(contexts)
+    old = np.full(contexts, NOWHERE)
+    new = np.empty(contexts)
+    old[before] = 0.0
+    for n in range(slots.shape[0]):
+        bit_row(counts, start + slots[n], tables, row)
+        for c in range(contexts):
+            a, b = old[c >> 1], old[(c >> 1) | (contexts >> 1)]
+            top = max(a, b)
+            new[c] = top + np.log1p(np.exp(min(a, b) - top)) + row[c]
+        old, new = new, old
+    top = old.max()
+    return top + np.log(np.exp(old - top).sum())
 
 
 @numba.njit(cache=True, nogil=True)
