@@ -47,7 +47,7 @@ BIT_RATE: Final = 2_000.0
 # 2000 frames of 11 bits: at the seam of the loop nothing jumps.
 RECORDING_S: Final = 11.0
 SKIPPED_S: Final = 3.0
-LATE_US: Final = 1_000.0
+LATE_US: Final = 1_000.0  # --late-us: on a machine that others use as well, no second is on time
 BACKLOG_US: Final = 100_000.0
 HOPS: Final = (
     "half bit",
@@ -153,7 +153,9 @@ def _cpu_s(host: Host) -> dict[str, float]:
     return out
 
 
-def hops(rows: np.ndarray, frames: np.ndarray, half_bit_us: float) -> tuple[dict[str, np.ndarray], float]:
+def hops(
+    rows: np.ndarray, frames: np.ndarray, half_bit_us: float, most_late_us: float
+) -> tuple[dict[str, np.ndarray], float]:
     """Return each hop's times (us) of the frames that count, and the share of the seconds in which they do.
 
     `source, all` is of all batches; so is `core`, what a batch takes the decoder whether it holds a frame or not.
@@ -164,7 +166,7 @@ def hops(rows: np.ndarray, frames: np.ndarray, half_bit_us: float) -> tuple[dict
     second = (t1_us // 1e6).astype(np.int64)
     begun = int(t1_us[0] / 1e6 + SKIPPED_S)
     counted = [s for s in np.unique(second) if s > begun and np.sum(second == s) > 900]
-    on_time = [s for s in counted if np.percentile(late_us[second == s], 99) <= LATE_US]
+    on_time = [s for s in counted if np.percentile(late_us[second == s], 99) <= most_late_us]
     end_us, window_us, read_ns = (frames[:, k].astype(np.float64) for k in range(3))
     batch = np.searchsorted(t1_us, window_us)
     whole = (read_ns - offset_ns) / 1e3 - end_us
@@ -186,13 +188,13 @@ def hops(rows: np.ndarray, frames: np.ndarray, half_bit_us: float) -> tuple[dict
     return found, len(on_time) / max(1, len(counted))
 
 
-def run(seconds: float, batch_us: int = 1_000, window_us: int = 1_000) -> dict[str, Any]:
+def run(seconds: float, most_late_us: float, batch_us: int = 1_000, window_us: int = 1_000) -> dict[str, Any]:
     """Return what was measured."""
     rows, frames, share = played(seconds, batch_us, window_us)
-    found, on_time = hops(rows, frames, 0.5e6 / BIT_RATE)
+    found, on_time = hops(rows, frames, 0.5e6 / BIT_RATE, most_late_us)
     result: dict[str, Any] = {
-        "batch_us": batch_us, "window_us": window_us, "seconds": seconds, "frames": len(found["whole"]),
-        "share_of_seconds_on_time": round(on_time, 3), "cores": share,
+        "most_late_us": most_late_us, "batch_us": batch_us, "window_us": window_us, "seconds": seconds,
+        "frames": len(found["whole"]), "share_of_seconds_on_time": round(on_time, 3), "cores": share,
     }  # fmt: skip
     for hop in HOPS:
         at = np.percentile(found[hop], [1, 50, 90, 99, 100]) if len(found[hop]) else np.full(5, np.nan)
@@ -204,12 +206,13 @@ def main() -> None:
     """Measure, print and store."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--late-us", type=float, default=LATE_US)
     parser.add_argument("--windows", type=int, nargs="+", default=[1_000], help="decoder windows to measure, us")
     parser.add_argument("-o", "--output", type=Path, default=RESULT)
     args = parser.parse_args()
     rows = []
     for window_us in args.windows:
-        rows.append(run(args.seconds, window_us=window_us))
+        rows.append(run(args.seconds, args.late_us, window_us=window_us))
         print("\n".join(f"{name}: {value}" for name, value in rows[-1].items()), flush=True)
     about = {"evidence": "simulated", "machine": platform.machine(), "python": platform.python_version(), "unit": "ms"}
     args.output.write_text(json.dumps(about | {"seed": SEED, "runs": rows}, indent=1) + "\n")

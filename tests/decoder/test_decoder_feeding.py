@@ -7,14 +7,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from heliograph.core import Context
 from heliograph.link.contract import LinkFrame, Punctual, Receiver, Text
 from heliograph.link.cyclic import CyclicReceiver
 from heliograph.link.frames import seed11_code
 from heliograph.link.modulations import modulation
 from heliograph.link.text_receiver import TextReceiver
 from heliograph.link.uart_layout import text_bits
+from heliograph.messages import Frames, Identification, Status
+from heliograph.site import Beacon
+from heliograph_services.decoder.config import DecoderConfig
+from heliograph_services.decoder.core import DecoderCore
 from heliograph_services.decoder.feeding import AWAKE_US, BEAT_US, NEVER_DUE_US, WAIT_US, Feeding, beat_us
 from heliograph_services.decoder.regions import Routed
+from support.blinkers import Disc, coded, merged, messages, still, tracks
 from support.lights import Light, Seen, seen
 
 WINDOW_US = 1_000
@@ -171,3 +177,41 @@ def test_characters_are_the_same_and_as_early_if_text_is_fed_when_due(seed: int)
     assert max(us for us, _ in later) <= BEAT_US
     # What was held back, and what comes with it, is the cold start's.
     assert [us for us, t_us in later if t_us > 200_000] == [0] * sum(t_us > 200_000 for _, t_us in later)
+
+
+# ---- the whole decoder -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("batch_us", [500, 1_000])
+def test_a_frame_leaves_with_the_batch_that_holds_the_half_bit_behind_it(batch_us: int) -> None:
+    place = still(80.5, 60.5)
+    batch = merged([coded(place, 4.0, list(modulation("seed11").encode(42)), 500.0, 500_000, 160, 120, seed=0)])
+    beacon = Beacon(name="crane", protocol="seed11", payload=42, bit_rate=2_000)
+    core = DecoderCore(DecoderConfig(beacons=(beacon,)), Context(instance="d", boot="b", lockstep=False))
+    waits_us: list[int] = []
+    for message in messages(batch, 0, 500_000, range(0, 500_000, batch_us), end=False):
+        if message.time_us % 100_000 == batch_us:
+            core.feed(tracks(message.time_us - batch_us, [("a-0", Disc(0, place), 0)]))
+        for one in core.feed(message):
+            if isinstance(one, Frames) and one.t1_us > 250_000:
+                waits_us += [message.time_us - t_us for t_us in one.t_us]
+    assert len(waits_us) > 40  # of 45 sent
+    assert max(waits_us) <= 250 + WINDOW_US + 50
+    assert min(waits_us) >= 250 - 50
+
+
+def test_tracks_that_hear_nothing_are_told_and_read_nothing_and_the_beacon_among_them_is_read() -> None:
+    place = still(80.5, 60.5)
+    batch = merged([coded(place, 4.0, list(modulation("seed11").encode(42)), 1_000.0, 600_000, 160, 120, seed=0)])
+    beacon = Beacon(name="crane", protocol="seed11", payload=42, bit_rate=1_000)
+    core = DecoderCore(DecoderConfig(beacons=(beacon,)), Context(instance="d", boot="b", lockstep=False))
+    rows = [("a-0", Disc(0, place), 0), *((f"b-{k}", Disc(1, still(10.0 + 5 * k, 110.0)), 0) for k in range(25))]
+    out = []
+    for message in messages(batch, 0, 600_000, range(0, 600_000, 10_000), end=False):
+        if message.time_us % 100_000 == 10_000:
+            core.feed(tracks(message.time_us - 10_000, rows))
+        out += core.feed(message)
+    statuses = [one for one in out if isinstance(one, Status)]
+    assert len(statuses[-1].track) == 26
+    assert [us > 0 for us in statuses[-1].accepted_us] == [True] + 25 * [False]
+    assert {one.beacon for one in out if isinstance(one, Identification)} == {"crane"}
