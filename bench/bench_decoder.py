@@ -80,12 +80,10 @@ def ours(corpus: Corpus, messages: list[bytes], **settings: Any) -> Row:
             frames += sum(len(one.t_us) for one in out if isinstance(one, Frames))
         named |= {one.beacon for one in out if isinstance(one, Identification)}
     seconds = (len(messages) * BATCH_US - SKIPPED_US) / 1e6
-    if len(named) != len(corpus.beacons):
-        raise SystemExit(f"{len(named)} of {len(corpus.beacons)} beacons were identified")
     return {
         "core": took / seconds, "wire": wire / seconds, "tracks": tracks / seconds, "events_s": events / seconds,
         "mev_s_flat_out": events / took / 1e6, "frames_s": frames / seconds,
-        "routed": core.counters["events_routed"] / core.counters["events"],
+        "routed": core.counters["events_routed"] / core.counters["events"], "identified": len(named),
     }  # fmt: skip
 
 

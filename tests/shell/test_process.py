@@ -134,3 +134,20 @@ def test_a_service_that_starts_before_its_router_joins_it(tmp_path: Path) -> Non
         router.terminate()
         service.communicate()
         assert (service.returncode, router.wait()) == (0, 0)
+
+
+def test_what_is_there_when_a_process_is_warm_is_no_longer_searched_for_garbage() -> None:
+    looked_at = subprocess.run(
+        script("""
+            import gc
+            from heliograph.shell.process import keep_out_of_collections
+            kept = [[] for _ in range(1000)]
+            keep_out_of_collections()
+            print(gc.get_freeze_count() > 1000, len(gc.get_objects()) < 100)
+        """),
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=PATIENCE_S,
+    )
+    assert looked_at.stdout.split() == ["True", "True"]

@@ -21,7 +21,7 @@ from heliograph.messages import TIME_LIMIT_US, Progress
 from heliograph.shell.bus import Bus, connected
 from heliograph.shell.health import HealthReporter, Pulse
 from heliograph.shell.links import client_config
-from heliograph.shell.process import Stop
+from heliograph.shell.process import Stop, keep_out_of_collections
 from heliograph.shell.run import Launch
 from heliograph.shell.source import Source, Step, Stream
 
@@ -116,6 +116,7 @@ def serve(source: Source[Any], launch: Launch[Any], stop: Stop) -> int:
     """Open the camera and the bus, and send until the stream ends or a stop comes; return the exit status."""
     context = Context(launch.instance, secrets.token_hex(3), launch.site.lockstep)
     stream = source.make(launch.config, context)
+    keep_out_of_collections()
     with connected(client_config(launch.site.bus), launch.site.site, f"{launch.kind}/{launch.instance}", stop) as bus:
         if bus is None:
             return 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import gc
 import os
 import signal
 import sys
@@ -52,6 +53,16 @@ def keep_kernels() -> None:
     """
     if sys.prefix != sys.base_prefix:
         os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(sys.prefix) / "numba-cache"))
+
+
+def keep_out_of_collections() -> None:
+    """Exempt all that is there by now, once a process is warm, from the search for garbage.
+
+    Compiled kernels come with several hundred thousand objects, which live as long as the process; to look at them all
+    takes a tenth of a second, for which nothing would be decoded.
+    """
+    gc.collect()
+    gc.freeze()
 
 
 def end_with_parent() -> None:

@@ -20,7 +20,7 @@ import msgspec
 
 from heliograph.errors import ConfigError, HeliographError
 from heliograph.shell.config import add_flags, given_flags, resolve
-from heliograph.shell.process import Stop, end_with_parent, keep_kernels
+from heliograph.shell.process import Stop, end_with_parent, keep_kernels, keep_out_of_collections
 from heliograph.shell.site import BusLinks, ServiceEntry, Site, load_site
 
 if TYPE_CHECKING:
@@ -149,6 +149,7 @@ def _serve(service: Service[Any], launch: Launch[Any], stop: Stop) -> int:
     source = f"{service.kind}/{launch.instance}"
     config = client_config(launch.site.bus)
     core = service.make(launch.config, context)
+    keep_out_of_collections()
     with connected(config, launch.site.site, source, stop) as bus:
         if bus is None:
             return 0
