@@ -40,7 +40,9 @@ def _read(counts: Floats, pixels: float, learned: Learned) -> npt.NDArray[np.int
     cost, back = np.zeros(kernel.STATES), np.zeros((kernel.RING, kernel.STATES), np.int64)
     out = np.zeros(len(counts), np.int64)
     for k in range(len(counts) + kernel.DEPTH):
-        xs[k % kernel.RING] = counts[k] if k < len(counts) else 0.0
+        xs[k % kernel.RING] = 0.0
+        if k < len(counts):
+            xs[k % kernel.RING] = counts[k]
         if k > 0:
             kernel.step(k, xs, pixels, learned, cost, back)
         if k > kernel.DEPTH + 4:
