@@ -34,8 +34,8 @@ def images_of(path: Path, bit_rate: float, phase_us: float, seed: int, led: floa
     return path
 
 
-# At just two images a bit an LED that turns in mid-exposure may show two steps half a bit apart: an overexposed one does
-# so where it turns within .75 ms of an exposure's end. More than two images a bit have no such phases.
+# At just two images a bit an LED that turns in mid-exposure may show two steps half a bit apart: an overexposed one
+# does where it turns within .75 ms of an exposure's end. More than two images a bit have no such phases.
 @pytest.mark.parametrize(
     ("bit_rate", "led", "phase_us"),
     [
