@@ -148,7 +148,7 @@ def test_a_few_events_out_of_order_are_dropped_and_counted(tmp_path: Path) -> No
     [
         (["--protocol", "morse"], "'morse'"),
         (["--bit-rate", "fast"], "--bit-rate must be a number or auto, not 'fast'"),
-        (["--bit-rate", "0.2", "--protocol", "seed11"], "bit_rate"),
+        (["--bit-rate", "0.2", "--protocol", "seed11"], "--bit-rate must be in [1, 100000] or auto, not 0.2"),
         (["--protocol", "seed11", "--bit-rate", "1000", "--receiver", "magic"], "magic"),
         (["--option", "parity"], "--option must be KEY=VALUE, not 'parity'"),
         (["--protocol", "seed11", "--bit-rate", "1000", "--option", "parity=odd"], "parity"),
