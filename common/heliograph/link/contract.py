@@ -78,7 +78,18 @@ class Text:
 
 @dataclass(frozen=True, slots=True)
 class LinkQuality:
-    """The last second of a link; None where not known."""
+    """The last second of a link; None where not known. How near to the truth: docs/protocols.md.
+
+    Args:
+        bit_rate: measured, bits a second.
+        snr_db: 10 log10 of a transition's events over what noise puts in its place. Receivers know noise by different
+            means (a background, one event, overdispersion): compare lights of one protocol.
+        jitter_us: standard deviation of a transition's time against the clock.
+        clock_ppm: how much faster than nominal the light's clock runs.
+        events_per_transition: mean of the second's transitions.
+        mar_estimate: frames accepted / frames decided or refused; what was wrong and passed, and what was never heard,
+            is not in it, so it is at or above the true MAR.
+    """
 
     bit_rate: float
     snr_db: float | None

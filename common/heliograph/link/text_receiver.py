@@ -6,7 +6,7 @@ Every step waits for exactly the sub-bins that it reads, so how the input was cu
 from __future__ import annotations
 
 from collections import deque
-from math import log10
+from math import log10, sqrt
 from typing import Final
 
 import numpy as np
@@ -96,6 +96,7 @@ class TextReceiver:
         """Return how well the last second was read.
 
         snr_db is that of one change of level: events a transition over the overdispersion F (`step_response`).
+        jitter_us is that of one change too: a character's timing is the mean of all of its changes.
         """
         decided = [d for end_us, d in self._recent if end_us > now_us - US_PER_S]
         follower = self._follower
@@ -111,7 +112,9 @@ class TextReceiver:
         return LinkQuality(
             bit_rate=rate,
             snr_db=10.0 * log10(per_change / follower.response.f) if per_change else None,
-            jitter_us=float(np.std(chained)) * self._bins.width_us if len(chained) > 1 else None,
+            jitter_us=float(np.std(chained)) * self._bins.width_us * sqrt(changes / len(read))
+            if len(chained) > 1
+            else None,
             clock_ppm=(rate / self._bit_rate - 1.0) * 1e6,
             events_per_transition=per_change,
             mar_estimate=sum(d.good for d in decided) / len(decided),
