@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import re
 import resource
-from collections.abc import Iterable
 from pathlib import Path
 
 import msgspec
@@ -19,8 +19,9 @@ from heliograph.streams import Events
 from heliograph.wire import Refused, header_for, pack, unpack
 from heliograph_services.decoder.config import DecoderConfig
 from heliograph_services.decoder.core import DecoderCore
-from support.blinkers import Disc, coded, merged, scene, still, straight, tracks
+from support.blinkers import Disc, coded, merged, scene, still, tracks
 from support.decoding import LIVE, core, run, states
+from support.hostile import hostile
 from support.lone_lights import SENT, heard
 
 WIDTH, HEIGHT = 320, 240
@@ -162,34 +163,6 @@ def test_events_off_the_sensor_are_counted_and_the_others_read() -> None:
 # ---- ten thousand of them ----------------------------------------------------------------------------------------
 
 
-def hostile(n: int) -> Iterable[Message]:
-    """Yield sound records of absurd content: times that jump and run back, thousands of tracks, other sensors."""
-    rng = np.random.default_rng(7)
-    now_us = 0
-    for k in range(n):
-        kind = rng.integers(0, 6)
-        now_us += int(rng.integers(0, 20_000))
-        if kind == 0:
-            now_us = int(rng.integers(-(10**9), 10**9))
-        if kind <= 2:
-            m = int(rng.integers(1, 400)) if k % 50 == 0 else int(rng.integers(0, 5))
-            rows = [
-                (f"h-{rng.integers(0, 10**6)}-{i}", Disc(0, straight(*rng.uniform(-900, 900, 4))), 0) for i in range(m)
-            ]
-            yield tracks(now_us, rows, period_us=int(rng.integers(1, 10**6)))
-        else:
-            size = (160, 120) if kind < 5 else (int(rng.integers(1, 300)), int(rng.integers(1, 300)))
-            many = int(rng.integers(0, 300))
-            t_us = np.sort(rng.integers(now_us, now_us + 5_000, many)).astype(np.int64)
-            x_px, y_px = (rng.integers(0, 200, many).astype(np.uint16) for _ in range(2))
-            batch = EventBatch(t_us, x_px, y_px, rng.random(many) < 0.5)
-            yield Events(
-                camera="cam0", stream="s" if rng.random() < 0.9 else "t", width=size[0], height=size[1], t0_us=now_us,
-                t1_us=now_us + 5_000, batch=batch,
-            )  # fmt: skip
-            now_us += 5_000
-
-
 def resident_bytes() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
@@ -225,3 +198,13 @@ def test_ten_thousand_hostile_messages_are_refused_by_name_in_bounded_memory() -
         if t_us == 10**10 + 20_000:
             out += decoder.feed(tracks(10**10 + 10_000, [("z-0", disc, 0)]))
     assert [one.beacon for one in states(out, "accepted")] == ["crane"]
+
+
+def test_every_reason_for_which_a_decoder_refuses_is_explained_in_its_readme() -> None:
+    root = Path(__file__).parents[2]
+    decoder = root / "services" / "heliograph_services" / "decoder"
+    sources = [*decoder.glob("*.py"), *(root / "common" / "heliograph" / "link").rglob("*.py")]
+    used = {name for file in sources for name in re.findall(r"Refusal\.([A-Z_]+)", file.read_text())}
+    explained = (decoder / "README.md").read_text()
+    assert len(used) > 15
+    assert [name for name in sorted(used) if Refusal[name].value not in explained] == []

@@ -87,6 +87,7 @@ def run(argv: Sequence[str]) -> int:
     if tally.duration_us == 0 and tally.events == 0:
         raise FileError(f"{arguments.file}: no events in it")
     summary = tally.summary([stream, *cores], time.monotonic() - started)
+    summary["hint"] = _hint(summary, arguments)
     print(dump(summary) if arguments.json else _for_people(summary), file=sys.stdout)
     return 0
 
@@ -261,6 +262,21 @@ class Tally:
         }
 
 
+def _hint(summary: dict[str, Any], arguments: argparse.Namespace) -> str | None:
+    """Return what to try where nothing was identified; None where something was."""
+    if summary["identifications"]:
+        return None
+    if not summary["tracks"]:
+        return "no light blinks in it"
+    if arguments.site:
+        return "none of the site's beacons was identified: try without --site"
+    if arguments.bit_rate not in {None, AUTO}:
+        return f"nothing was identified at {arguments.bit_rate} bit/s: try --bit-rate auto"
+    if arguments.protocol != AUTO:
+        return f"nothing was identified as {arguments.protocol or 'seed11'}: try --protocol auto"
+    return "nothing was identified in any protocol"
+
+
 def _for_people(summary: dict[str, Any]) -> str:
     seconds = summary["duration_us"] / 1e6
     refused = ", ".join(f"{n} {name}" for name, n in summary["refused"].items()) or "none"
@@ -269,4 +285,5 @@ def _for_people(summary: dict[str, Any]) -> str:
     counts = f"{summary['tracks']} tracks; {summary['frames']} frames"
     paragraphs = [f"{read}; {counts}", f"refused: {refused}", f"identified: {beacons}"]
     paragraphs += [f"{name} is sent at {len(at)} places" for name, at in summary["duplicates"].items()]
+    paragraphs += [summary["hint"]] if summary["hint"] else []
     return "\n".join(textwrap.fill(text, _COLUMNS, subsequent_indent="  ") for text in paragraphs)
