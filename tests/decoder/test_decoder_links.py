@@ -214,7 +214,7 @@ def test_fast_links_hear_the_core_slow_ones_the_heart_those_between_the_whole(
 
 
 def test_the_papers_receiver_hears_the_whole_at_every_rate() -> None:
-    listed = [Beacon(name=f"b{rate}", protocol="seed11", payload=42, bit_rate=rate) for rate in (50, 2_000, 4_000)]
+    listed = [Beacon(name=f"b{rate}", protocol="seed11", payload=42, bit_rate=rate) for rate in (50, 2_500, 4_000)]
     ours, papers = (LinkPlan(DecoderConfig(beacons=tuple(listed), receiver=name)) for name in ("default", "paper"))
     assert [ours.depth(i, row.key.bit_rate or 0.0) > 0 for i, row in enumerate(ours.rows)] == [True, False, True]
     assert [papers.depth(i, row.key.bit_rate or 0.0) for i, row in enumerate(papers.rows)] == [0, 0, 0]

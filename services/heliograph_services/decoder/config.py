@@ -69,9 +69,10 @@ class DecoderConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     ] = 3_000.0
     # A lit LED that moves makes events all along its bits: at 50 bit/s MAR .28 -> .92 on the site under a flying
     # camera; text at 2 m/s and 504 bit/s .97 -> .99 (160 px/s) and .94 -> .99 (711 px/s), codes at 200 bit/s
-    # .94 -> .98; in the sun from 28 m .56 -> .56. At 2 kbit/s the number of events tells.
+    # .94 -> .98; in the sun from 28 m .56 -> .56.
     heart_bit_rate: Annotated[
-        float, Meta(ge=0.0, le=1e9, description="bit/s up to which a link hears the heart of an image alone")
+        float,
+        Meta(ge=0.0, le=1e9, description="bit/s up to which text hears an image's heart alone; codes up to twice it"),
     ] = 1_000.0
     # The files and streams do not tell it; an imx636 has none, a DVXplorer Mini 5,000 (VARIABLE_5000).
     scan_rate_hz: Annotated[
