@@ -125,20 +125,19 @@ def peak(sums: Floats) -> tuple[float, float]:
 
 
 @numba.njit(cache=True, nogil=True)
-def nearest(sums: Floats, slack: float, share: float) -> tuple[float, float]:
-    """Return, of the bit rates whose z is nearly the greatest, the one nearest to the nominal; and the greatest z.
+def nearest(sums: Floats, share: float) -> tuple[float, float]:
+    """Return, of the bit rates with a share of the greatest z, the one nearest to the nominal; and the greatest z.
 
     Args:
         sums: (blocks, SUMS), oldest first.
-        slack: below the greatest, 0 or more; z is like a log-likelihood.
-        share: of the greatest, 0 to 1; the larger of both counts.
+        share: 0 to 1.
     """
     z = _spectrum(sums)
     steps = len(z)
     top = z.max()
     best = 0
     for s in range(steps):
-        if z[s] >= top - max(slack, share * top) and abs(2 * s - steps + 1) < abs(2 * best - steps + 1):
+        if z[s] >= share * top and abs(2 * s - steps + 1) < abs(2 * best - steps + 1):
             best = s
     return 1.0 + SPAN * (2.0 * best / (steps - 1) - 1.0), top
 

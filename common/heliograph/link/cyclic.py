@@ -219,7 +219,8 @@ class CyclicReceiver:
                 # A young track may be a beacon whose word has few edges: 64 bits of it stay just below the threshold.
                 windows.append((2 * clock.SHORT_BLOCKS, clock.THRESHOLD_LONG))
             for blocks, threshold in windows:
-                peaks = self._blocks.peaks(blocks)
+                seen = min(blocks, (end_us - since_us) / block_us)
+                peaks = self._blocks.peaks(blocks, seen)
                 if max(z for _, z in peaks) >= threshold and self._lock(
                     peaks, threshold, end_us - blocks * block_us, end_us, blocks
                 ):
@@ -298,7 +299,8 @@ class CyclicReceiver:
             moves = level.start(t, on, until, self._found, self._state.model, self._state.seen)
         if not moves:
             # Where scans are long, the turns go first, as soon as they have been seen for long enough.
-            if z < threshold or not (tried or self._scans.enough(blocks)):
+            seen = (end_us - max(begin_us, float(self._since_us or 0))) / (clock.BLOCK_BITS * self._bit_us)
+            if z < threshold or not (tried or self._scans.enough(seen)):
                 return False
             clock.grid(t, on, f, until, self._found, self._folded)
         if tried:

@@ -64,9 +64,9 @@ class ClockBlocks:
             t: clock.Floats = np.asarray((held_t[start:stop] - begin_us) / self._bit_us, np.float64)
             self.scans.take(t, held_on[start:stop])
 
-    def peaks(self, blocks: int) -> Peaks:
-        """Return what a window of the newest blocks shows."""
-        turns = self.scans.peak(blocks) if self.scans.enough(blocks) else _NONE
+    def peaks(self, blocks: int, seen: float) -> Peaks:
+        """Return what a window of the newest blocks shows, of which so many show the light."""
+        turns = self.scans.peak(blocks) if self.scans.enough(seen) else _NONE
         return clock.peak(self._events[-blocks:]), clock.peak(self._level[-blocks:]), turns
 
     def tried(self, blocks: int, more: tuple[clock.Floats, Flags] | None) -> Peaks:

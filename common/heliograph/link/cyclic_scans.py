@@ -3,7 +3,7 @@
 Beside the events of a block (`heliograph.link.cyclic`) the turns of the light (`heliograph.link.scans`) are summed,
 where the events are scans long enough to matter. They show the clock of a light whose bursts go on for more than a bit,
 and of one whose scans are half a bit. There, though, times on the grid of the scans, of rate s, are as coherent at
-s - f as at f; so among rates that are nearly as good the one nearest to the nominal is taken.
+s - f as at f; so where s is nearly 2, the rate nearest to the nominal is taken of those that are half as good.
 """
 
 from __future__ import annotations
@@ -16,14 +16,13 @@ from heliograph.events import Flags, Times
 from heliograph.link import clock, scan_lock, scan_state, scans
 from heliograph.link.scan_state import ScanState, new_scan_state
 
-# Rates whose z is less than this below the best are as likely as it is, for all that a window shows; and where the
-# grid of the scans mirrors the nominal rate within this span, all whose z is half of it.
-SLACK: Final = 6.0
-MIRRORED: Final = 0.03
-MIRROR_SLACK: Final = 0.5
+# Where the grid of the scans mirrors the nominal rate within this span (and what a window resolves), any rate whose z
+# is half of the best may be the true one: times on the grid blur both into one.
+MIRRORED: Final = 0.04
+AS_GOOD: Final = 0.5
 # A response must have been seen at all places of a scan in a bit, the more of them the longer the scan is: 16 blocks
-# where it is .4 bit or more (64 bits of a light at 2.5 kbit/s behind 199 us led to one that read half of the frames and
-# a quarter wrong, for good), 4 up to .1 bit.
+# where it is .44 bit or more (64 bits of a light at 2.5 kbit/s behind 199 us led to one that read half of the frames
+# and a quarter wrong, for good).
 WINDOW_BLOCKS_A_BIT: Final = 36.0
 
 
@@ -68,16 +67,17 @@ class ScanSearch:
         n = scans.turns(t, on, self._turn, found_t, found_on)
         clock.block(found_t[:n], found_on[:n], self._sums[-1])
 
-    def enough(self, blocks: int) -> bool:
-        """Return whether a window of so many blocks may show a response; True where the events are no scans."""
-        return blocks >= min(WINDOW_BLOCKS_A_BIT * self._quantum, clock.LONG_BLOCKS)
+    def enough(self, seen: float) -> bool:
+        """Return whether so many blocks of the light may show its response; True where the events are no scans."""
+        return seen >= min(WINDOW_BLOCKS_A_BIT * self._quantum, clock.LONG_BLOCKS)
 
     def peak(self, blocks: int) -> tuple[float, float]:
         """Return the rate that the turns of the newest blocks show, and its z; z = 0 where there are no scans."""
         if not self.known:
             return 1.0, 0.0
+        newest = self._sums[-blocks:]
         mirrored = abs(1.0 / self._quantum - 2.0) < MIRRORED
-        return clock.nearest(self._sums[-blocks:], SLACK, MIRROR_SLACK if mirrored else 0.0)
+        return clock.nearest(newest, AS_GOOD) if mirrored else clock.peak(newest)
 
     def begin(self, t: clock.Floats, on: Flags, until: float, f: float, found: clock.Floats) -> bool:
         """Begin with a clock that the turns of a window show.

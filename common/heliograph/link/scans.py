@@ -27,8 +27,8 @@ from heliograph.link.clock import Floats
 # Events nearer to the first of a group, in bits, are of its scan: what is left of a scan where columns are stamped as
 # they are read.
 TOGETHER: Final = 1.0 / 64.0
-# Shorter scans, in bits, are short enough to be taken for continuous time; longer ones show less than an edge a bit.
-LEAST: Final = 1.0 / 12.0
+# Of shorter scans, in bits, the demodulator of events reads every edge; behind longer ones two edges share a scan.
+LEAST: Final = 0.28
 MOST: Final = 0.75
 # Of the gaps, so few are shorter than a scan, by accident; so many are one scan long, where bursts go on for several;
 # and of those below FAR scans, so many are whole multiples of one, give or take NEAR.

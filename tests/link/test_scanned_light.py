@@ -1,0 +1,134 @@
+"""Light behind long scans, whose bursts outlast a bit: scans, turns, response, and frames read through all of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from heliograph.link import scan_response, scans
+from heliograph.link.contract import LinkFrame
+from heliograph.link.cyclic import CyclicReceiver
+from heliograph.link.frames import SEED11_BITS, bits_of, seed11_code
+
+CODE = seed11_code()
+SAFE = [p for p in range(64) if p not in CODE.twins and p not in CODE.periodic]
+
+
+def scanned(
+    bit_rate: float, scan_us: float, frames: int, seed: int, ppm: float = 0.0, tail: float = 0.8
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_], list[int], float]:
+    """Return events of a light with a payload of its own in every frame, the payloads, and the length of a bit.
+
+    Pixels follow a rise at once and a fall with a time constant of `tail` bits; a scan shows each pixel's change by
+    whole thresholds since it was read last, as its sign.
+    """
+    rng = np.random.default_rng(seed)
+    payloads = [int(p) for p in rng.choice(SAFE, frames)]
+    bits = np.array([bit for p in payloads for bit in bits_of(CODE.words[p], SEED11_BITS)])
+    bit_us = 1e6 / (bit_rate * (1.0 + ppm * 1e-6))
+    begin_us = 3000.0 + float(rng.uniform(0.0, bit_us))
+    pixels = 40
+    seen, reference = np.zeros(pixels), np.zeros(pixels)
+    slow = tail * bit_us * rng.uniform(0.8, 1.25, pixels)
+    t: list[int] = []
+    on: list[bool] = []
+    end_us = begin_us + len(bits) * bit_us
+    for k in range(int(end_us / scan_us)):
+        t_us = k * scan_us
+        at = int((t_us - begin_us) // bit_us)
+        lit = bool(0 <= at < len(bits) and bits[at])
+        seen = np.full(pixels, 10.0) if lit else seen * np.exp(-scan_us / slow)
+        steps = np.trunc(seen - reference)
+        reference = reference + steps
+        moved = steps[steps != 0.0]
+        t += [int(t_us)] * len(moved)
+        on += [bool(up) for up in moved > 0.0]
+    return np.array(t, np.int64), np.array(on, np.bool_), payloads, bit_us
+
+
+def read(
+    t_us: npt.NDArray[np.int64], on: npt.NDArray[np.bool_], bit_rate: float, step_us: int = 5000
+) -> tuple[list[LinkFrame], CyclicReceiver]:
+    receiver = CyclicReceiver(CODE, bit_rate)
+    out, start = [], 0
+    end_us = int(t_us[-1]) + 8_000
+    for until_us in (*range(step_us, end_us, step_us), end_us):
+        stop = int(np.searchsorted(t_us, until_us))
+        out += receiver.feed(t_us[start:stop], on[start:stop], until_us)
+        start = stop
+    out += receiver.flush()
+    return [frame for frame in out if isinstance(frame, LinkFrame)], receiver
+
+
+@pytest.mark.parametrize("ppm", [-80.0, 80.0])
+@pytest.mark.parametrize(("bit_rate", "scan_us"), [(2000.0, 199.0), (2500.0, 199.0), (5000.0, 65.0)])
+def test_frames_are_read_though_falls_last_longer_than_a_bit(bit_rate: float, scan_us: float, ppm: float) -> None:
+    t_us, on, payloads, bit_us = scanned(bit_rate, scan_us, 120, 1, ppm)
+    frames, receiver = read(t_us, on, bit_rate)
+    # The response is learned from what is told of the beginning of the light: a few of its first frames are hard.
+    told = [frame.payload for frame in frames]
+    ends = t_us[-1] - (np.arange(len(payloads))[::-1] * SEED11_BITS * bit_us)
+    nearest = [int(np.argmin(np.abs(ends - frame.t_us))) for frame in frames]
+    later = [(i, p) for i, p in zip(nearest, told, strict=True) if i >= 20]
+    assert all(payloads[i] == p for i, p in later)
+    assert len({i for i, _ in later}) >= 97
+    quality = receiver.quality(int(t_us[-1]))
+    assert quality.clock_ppm == pytest.approx(ppm, abs=400.0)
+
+
+@settings(max_examples=6, deadline=None)
+@given(st.integers(700, 30_000), st.integers(0, 99))
+def test_nothing_depends_on_how_the_input_is_cut(step_us: int, seed: int) -> None:
+    t_us, on, _, _ = scanned(2500.0, 199.0, 50, seed)
+    whole, _ = read(t_us, on, 2500.0, 40_000)
+    cut, _ = read(t_us, on, 2500.0, step_us)
+    assert cut == whole
+
+
+def test_scans_are_found_and_continuous_time_is_none() -> None:
+    rng = np.random.default_rng(1)
+    on_grid = np.flatnonzero(rng.random(200) < 0.6) * 0.4
+    assert scans.quantum(on_grid) == pytest.approx(0.4)
+    assert scans.quantum(on_grid + rng.uniform(0.0, 0.003, len(on_grid))) == pytest.approx(0.4, abs=0.01)
+    assert scans.quantum(np.cumsum(rng.exponential(0.4, 300))) == 0.0
+    assert scans.quantum(np.cumsum(rng.integers(1, 5, 300).astype(np.float64))) == 0.0
+    assert scans.quantum(on_grid[:10]) == 0.0
+
+
+def test_silent_scans_lie_between_those_with_events() -> None:
+    at = np.array([0.0, 0.4, 1.6, 2.0])
+    counts = np.array([[1.0, 0.0], [2.0, 0.0], [0.0, 3.0], [0.0, 4.0]])
+    rows = scans.all_scans(at, counts, 0.4, 3.0)
+    assert rows[:, 0] == pytest.approx([0.0, 0.4, 0.8, 1.2, 1.6, 2.0, 2.4])
+    assert rows[:, 1].tolist() == [1, 2, 0, 0, 0, 0, 0]
+    assert rows[:, 2].tolist() == [0, 0, 0, 0, 3, 4, 0]
+
+
+def test_the_light_turns_where_its_burst_begins() -> None:
+    # Three scans of OFF after one of ON, by hand; single events of the other sign are no turns.
+    t = np.repeat([0.0, 0.4, 2.0, 2.4, 2.8, 3.2], [20, 1, 30, 30, 20, 25])
+    on = np.repeat([True, False, False, False, False, True], [20, 1, 30, 30, 20, 25])
+    found_t, found_on = np.empty(64), np.empty(64, np.bool_)
+    n = scans.turns(t, on, np.zeros(scans.FIELDS), found_t, found_on)
+    assert found_t[:n].tolist() == [0.0, 2.0, 3.2]
+    assert found_on[:n].tolist() == [True, False, True]
+
+
+def test_a_response_is_learned_by_four_bits_and_shorter_ones_stand_in() -> None:
+    rng = np.random.default_rng(2)
+    bits = rng.integers(0, 2, 400)
+    # A scan at sub-bin 8 of each slot shows ON at a rise, 50 events where it was dark for two bits and 20 otherwise.
+    rows = []
+    for slot in range(2, 399):
+        _, b, c, d = bits[slot - 2 : slot + 2]
+        lit = 0.0 if (c, d) != (0, 1) else (50.0 if b == 0 else 20.0)
+        rows.append((slot, 8, 0.0, lit))
+    rate, weight = np.zeros((16, 2, 16)), np.zeros((16, 16))
+    scan_response.guess(bits, 2, np.array(rows), rate, weight)
+    assert rate[0b0001, 1, 8] == pytest.approx(50.0, rel=0.1)
+    assert rate[0b0101, 1, 8] == pytest.approx(20.0, rel=0.15)
+    assert rate[0b0000, 1, 8] < 3.0
+    assert rate[:, 0].max() == 0.0
