@@ -7,8 +7,8 @@ The paper's "Static OCC performance": 3.6 mm, indoors (2 W/m2), `seed11`; K = 1.
 phase of the beacon against the scans, a clock within 100 ppm of the nominal, and a place in the image. The same
 events go to the whole system (tracker and decoder, default settings) and to the genie (`cli/studies/genie.py`: true
 path and bit rate; the receiver is ours). 5 s a run, 12 runs a condition: 199 us scans (VARIABLE_5000) at .1 to 2.5
-kbit/s, 65 us (VARIABLE_15000) at 5 kbit/s; 4 to 7 CPU s a run up to 1 kbit/s, 11 to 20 above: 16 minutes of one core for 12
-seeds. One JSON line a run; what is there is skipped; after `--budget` CPU seconds it stops: start it again.
+kbit/s, 65 us (VARIABLE_15000) at 5 kbit/s; 4 to 7 CPU s a run up to 1 kbit/s, 11 to 20 above: 16 minutes in all.
+One JSON line a run; what is there is skipped; after `--budget` CPU seconds it stops: start it again.
 Development seeds are 0 to 99. Evidence: simulated; nothing is fitted. The paper's receiver there, and ideal edges:
 `study_static.py`.
 """
@@ -88,7 +88,8 @@ def page(rows: list[dict[str, Any]]) -> str:
         "",
         "DVXplorer Mini, 3.6 mm, `seed11`, a new payload for every frame, K = 1; random phase between bits and scans,",
         f"clocks within 100 ppm; seeds {seeds[0]} to {seeds[-1]}, {SECONDS_S:.0f} s each. 95 % intervals over blocks",
-        "of 1 s. `wrong`: wrong and inserted frames, of those published. Evidence: simulated (`bench/study_static_link.py`).",
+        "of 1 s. `wrong`: wrong and inserted frames, of those published. Evidence: simulated",
+        "(`bench/study_static_link.py`).",
         "",
         "| bit/s | scan | frames | MAR_sent, ours | wrong, ours | MAR_sent, genie | wrong, genie |",
         "|---|---|---|---|---|---|---|",
