@@ -136,7 +136,7 @@ def crowd(seconds: float, seed: int) -> dict[str, Any]:
     return {
         "tracks": outcome.tracks,
         "sightings": len(summary.sightings),
-        "identified": summary.identified,
+        "identified": sum(summary.identified.values()),
         "frames": summary.frames,
         "false_alarms": accuracy.false_alarms,
         "confusions": accuracy.confusions,

@@ -85,9 +85,8 @@ def scene_section(rows: Rows) -> str:
         "### A room without a beacon\n\n"
         f"Mains flicker, {whole['seconds']:.2f} s, 640 x 480 pixels, through source, tracker and"
         f" {len(whole['readers'])} readers: every protocol at every bit rate (50 to 20,000 bit/s and faster ones), with"
-        f" its rate measured, and `auto`. The tracker makes {whole['tracks']} tracks of it; told: {told}. So each"
-        " square of it that holds light was given to every reader as though it were a track. Evidence: recording,"
-        " n = 1.\n"
+        f" its rate measured, and `auto`. The tracker makes {whole['tracks']} tracks of it; told: {told}. Evidence:"
+        " recording, n = 1.\n"
     )
     squares = [item for row in mine if "side_px" in row for item in row["readers"].items()]
     lines = [
@@ -96,7 +95,10 @@ def scene_section(rows: Rows) -> str:
         for name, each in _by_protocol(squares).items()
     ]  # fmt: skip
     head = ("protocol", "squares x readers", "track-hours", "identified or text", "a track-hour")
-    return text + "\n" + table(head, lines) + "\n" if lines else text
+    if not lines:
+        return text
+    more = "\nEach square of it that holds light, given to every reader as though it were a track:\n\n"
+    return text + more + table(head, lines) + "\n"
 
 
 def clutter_section(rows: Rows) -> str:
