@@ -21,6 +21,7 @@ from heliograph.messages import Message
 from heliograph_services.cli.pipeline import ONE_PROCESS, Pipeline
 from heliograph_services.decoder import core, following
 from heliograph_services.decoder.config import DecoderConfig
+from heliograph_services.decoder.feeding import NEVER_DUE_US
 from heliograph_services.decoder.links import Decided, LinkPlan, TrackLinks
 from heliograph_services.decoder.region_state import Depths
 from heliograph_services.tracker.config import TrackerConfig
@@ -64,6 +65,7 @@ class Ear:
         self.from_us: int | None = None
         self.until_us = 0
         self.contested = self.outvoted = 0
+        self.winner = None
         self.every.append(self)
 
     def feed(self, t_us: Times, on: Flags, depth: Depths, until_us: int) -> list[Decided]:
@@ -73,6 +75,10 @@ class Ear:
         self.parts.append((t_us.copy(), on.copy(), depth.copy()))
         self.until_us = until_us
         return []
+
+    def due_us(self) -> int:
+        """Return that nothing is due."""
+        return NEVER_DUE_US
 
     def flush(self, now_us: int) -> list[Decided]:
         """Decide nothing."""
