@@ -219,8 +219,7 @@ class CyclicReceiver:
                 # A young track may be a beacon whose word has few edges: 64 bits of it stay just below the threshold.
                 windows.append((2 * clock.SHORT_BLOCKS, clock.THRESHOLD_LONG))
             for blocks, threshold in windows:
-                seen = min(blocks, (end_us - since_us) / block_us)
-                peaks = self._blocks.peaks(blocks, seen)
+                peaks = self._blocks.peaks(blocks, min(blocks, (end_us - since_us) / block_us))
                 if max(z for _, z in peaks) >= threshold and self._lock(
                     peaks, threshold, end_us - blocks * block_us, end_us, blocks
                 ):
@@ -299,8 +298,8 @@ class CyclicReceiver:
             moves = level.start(t, on, until, self._found, self._state.model, self._state.seen)
         if not moves:
             # Where scans are long, the turns go first, as soon as they have been seen for long enough.
-            seen = (end_us - max(begin_us, float(self._since_us or 0))) / (clock.BLOCK_BITS * self._bit_us)
-            if z < threshold or not (tried or self._scans.enough(seen)):
+            seen_us = end_us - max(begin_us, float(self._since_us or 0))
+            if z < threshold or not (tried or self._scans.enough(seen_us / (clock.BLOCK_BITS * self._bit_us))):
                 return False
             clock.grid(t, on, f, until, self._found, self._folded)
         if tried:
@@ -321,15 +320,18 @@ class CyclicReceiver:
 
     def _begin_scanned(self, t: clock.Floats, on: Flags, until: float, f: float, last: float, *, tried: bool) -> bool:
         """Begin with a clock that the turns of scanned light show, as `_lock` does."""
+        if tried:
+            # What repeats does so wherever its slots begin.
+            clock.grid(t, on, f, until, self._found, self._folded)
+            if not trial.alike(t, on, until, self._found, self._code.bits, self._needed - 1):
+                return False
         for trying in (True, False) if tried else (False,):
             if not self._scans.begin(t, on, until, f, self._found):
                 return False
             state.start(self._state, None, self._found, last, self._code)
             self._state.ints[state.SLOT] = -scan_state.LAG
             if trying:
-                alike = trial.alike(t, on, until, self._found, self._code.bits, self._needed - 1)
-                scanned = self._scans.scanned
-                if not alike or not trial.repeats(t, on, until, self._state, self._needed - 1, scanned):
+                if not trial.repeats(t, on, until, self._state, self._needed - 1, self._scans.scanned):
                     self._scans.scanned = None
                     return False
         return True
