@@ -330,10 +330,10 @@ class CyclicReceiver:
                 return False
             state.start(self._state, None, self._found, last, self._code)
             self._state.ints[state.SLOT] = -scan_state.LAG
-            if trying:
-                if not trial.repeats(t, on, until, self._state, self._needed - 1, self._scans.scanned):
-                    self._scans.scanned = None
-                    return False
+            scanned = self._scans.scanned
+            if trying and not trial.repeats(t, on, until, self._state, self._needed - 1, scanned):
+                self._scans.scanned = None
+                return False
         return True
 
     def _follow(self, t_us: Times, on: Flags, until_us: int, out: list[LinkFrame | Text]) -> tuple[Times, Flags]:
