@@ -142,8 +142,8 @@ def carry(state: Floats, n: int, us: float) -> None:
         vx, vy = state[VX, i], state[VY, i]
         if state[TURN, i] != 0.0:
             # The arc's chord has the direction of its middle; it is shorter by a thousandth where an arc is .15 rad.
-            half = 0.5 * state[TURN, i] * s
-            cos, sin = math.cos(half), math.sin(half)
+            angle = 0.5 * state[TURN, i] * s
+            cos, sin = math.cos(angle), math.sin(angle)
             vx, vy = cos * vx - sin * vy, sin * vx + cos * vy
             state[VX, i], state[VY, i] = cos * vx - sin * vy, sin * vx + cos * vy
         state[X, i] = min(max(state[X, i] + vx * s, -PLACE_LIMIT_PX), PLACE_LIMIT_PX)
