@@ -1,9 +1,10 @@
-"""A region's prediction against its equation: P <- F P F' + q [T^3/3, T^2/2; T^2/2, T], and an arc of constant speed."""
+"""A region that turns: P <- F P F' + q [T^3/3, T^2/2; T^2/2, T], on an arc of constant speed."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from heliograph_services.decoder.region_state import P_VV, P_XV, P_XX, ROWS, TURN, VX, VY, Q, X, Y, carry
 
 T_S = 1e-3
