@@ -16,7 +16,9 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+import link_sections
 from false_lights import CAMERA
+from link_sections import table
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "bench" / "results"
@@ -27,14 +29,6 @@ Written by `bench/make_results.py` from the results stored in `bench/results`; d
 Nothing is ranked across kinds of evidence. A bound is what nothing found excludes with 95 %: 3 / T.
 """
 Rows = list[dict[str, Any]]
-
-
-def table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
-    """Return a table in Markdown."""
-    lines = [list(head)]
-    lines.append(["---"] * len(lines[0]))
-    lines += [[str(value) for value in row] for row in rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def number(value: float) -> str:
@@ -214,6 +208,7 @@ def sections() -> list[Callable[[], str]]:
     """Return what writes the sections, in their order."""
     rows = alarm_rows()
     return [
+        *link_sections.sections(),
         lambda: f"## False alarms and confusions\n\nSeeds of release `{rows[-1]['release']}`.\n" if rows else "",
         lambda: scene_section(rows),
         lambda: clutter_section(rows),
