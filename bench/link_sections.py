@@ -131,8 +131,8 @@ def latency_section() -> str:
         return ""
     out = (
         "## Latency\n\n`bench/bench_latency.py`: from the end of a frame to a subscriber in another process, ms;"
-        " source, router, tracker and decoder as processes on one host, batches of 1 ms. Counted are the seconds in which the"
-        " source was on time. Evidence: simulated light, real processes.\n"
+        " source, router, tracker and decoder as processes on one host, batches of 1 ms. Counted are the"
+        " seconds in which the source was on time. Evidence: simulated light, real processes.\n"
     )
     for run in stored["runs"]:
         rows = [(hop, *(run[hop][p] for p in ("p50", "p90", "p99", "max"))) for hop in HOPS]
