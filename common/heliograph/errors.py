@@ -31,6 +31,9 @@ class BusError(HeliographError):
 class Refusal(Enum):
     """Why a piece of input was not used. The value is the counter's name on the bus and in the store."""
 
+    # There is one object a member. Enum's own hash is a call in Python, at every look at a counter.
+    __hash__ = object.__hash__
+
     # A message on the bus, in the order in which it is checked (heliograph.messages).
     TOO_LARGE = "message too large"
     NOT_MSGPACK = "message is not msgpack"

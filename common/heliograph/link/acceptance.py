@@ -82,6 +82,8 @@ def frames_needed(code: CyclicCode) -> int:
 
 # A frame in four lost: at less, a row of weak light has no hole; at more, four clear frames are no longer enough.
 MISSING: Final = 0.25
+_LOST: Final = log(MISSING)
+_CAME: Final = log(1.0 - MISSING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,11 +220,11 @@ class Acceptance:
             self._row.clear()
         if self._row:
             lost = (place.slot - self._row[-1][1].slot) // self._bits - 1
-            self._nats += lost * log(MISSING)
+            self._nats += lost * _LOST
         if not self._row or self._nats <= 0.0:
             self._nats = 0.0
         if self._evidence is not None:
-            self._nats += self._evidence.of(frame.score) + log(1.0 - MISSING)
+            self._nats += self._evidence.of(frame.score) + _CAME
         self._row.append((frame, place))
 
     def _enough(self, place: Place) -> bool:

@@ -273,18 +273,19 @@ class DecoderCore:
         """Note what track i has decided: return its frames, keep its texts until they are joined."""
         track = following.tracks[i]
         rows: list[FrameRow] = []
+        plan = self._plan
         for one in decided:
-            if isinstance(one.item, LinkFrame):
-                frame = one.item
-                beacon = self._plan.listed(one.link, frame.payload) or self._plan.listed(one.link, None)
-                protocol = self._plan.protocol(one.link)
+            link, frame = one.link, one.item
+            if isinstance(frame, LinkFrame):
+                beacon = plan.listed(link, frame.payload) or plan.listed(link, None)
                 at = following.at(i, frame.t_us)
-                rows.append(FrameRow(track.serial, track.name, protocol, beacon, frame, at))
-                track.frame_us, track.frame_link = frame.t_us, one.link
-                following.feeding.framed(i, frame.t_us)
+                rows.append(FrameRow(track.serial, track.name, plan.protocol(link), beacon, frame, at))
+                track.frame_us, track.frame_link = frame.t_us, link
             else:
-                track.texts.append((one.link, one.item))
-        self.counters["frames"] += len(rows)
+                track.texts.append((link, frame))
+        if rows:
+            following.feeding.framed(i, track.frame_us)
+            self.counters["frames"] += len(rows)
         return rows
 
     def _sweep(self, following: Following, now_us: int) -> list[Message]:

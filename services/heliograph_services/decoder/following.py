@@ -98,9 +98,10 @@ class Following:
 
     def at(self, i: int, t_us: int) -> Place:
         """Return where track i was, or will be, at t_us."""
-        now = self.regions.place(i)
         known = self.history.at(i, t_us)
-        return now.after(t_us - self.regions.now_us) if known is None else Place(*known, now.reach_px)
+        if known is None:
+            return self.regions.place(i).after(t_us - self.regions.now_us)
+        return Place(*known, self.regions.reach_px(i))
 
     def end(self, ended: list[Track]) -> None:
         """Let these tracks go."""

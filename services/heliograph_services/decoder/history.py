@@ -6,6 +6,7 @@ contend for a track. Its place is that of its own time; and what the tracker say
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from typing import Final
 
 import numpy as np
@@ -26,24 +27,27 @@ class History:
     def __init__(self, rows: int) -> None:
         self._rows = rows
         self._n = 0
-        self._t_us: Ints = np.empty(2 * rows, np.int64)
+        # A list: of the few hundred times one alone is looked up, often.
+        self._t_us: list[int] = []
         self._tracks = 0
         self._motion: Floats = np.empty((2 * rows, 4, START_TRACKS), np.float64)
 
     def clear(self) -> None:
         """Forget all."""
         self._n = 0
+        self._t_us = []
         self._tracks = 0
 
     def record(self, t_us: int, motion: Floats) -> None:
         """Note x, y, vx, vy of all tracks, (4, n), at a time after the last one noted, or, instead of them, at it."""
         if self._n and self._t_us[self._n - 1] == t_us:
             self._n -= 1
+            self._t_us.pop()
         if self._n == 2 * self._rows:
             self._n = self._rows
-            self._t_us[: self._n] = self._t_us[self._rows :]
+            del self._t_us[: self._rows]
             self._motion[: self._n, :, : self._tracks] = self._motion[self._rows :, :, : self._tracks]
-        self._t_us[self._n] = t_us
+        self._t_us.append(t_us)
         self._motion[self._n, :, : self._tracks] = motion
         self._n += 1
 
@@ -59,20 +63,23 @@ class History:
             wider = np.empty((2 * self._rows, 4, 2 * self._tracks), np.float64)
             wider[: self._n, :, : self._tracks] = self._motion[: self._n]
             self._motion = wider
-        at = self._t_us[: self._n]
+        at = np.array(self._t_us, np.int64)
         for row in range(4):
             self._motion[: self._n, row, self._tracks] = np.interp(at, t_us, trail[row])
         self._tracks += 1
 
     def at(self, i: int, t_us: int) -> tuple[float, float, float, float] | None:
         """Return x, y, vx, vy of track i then, interpolated; None behind the last time noted."""
-        times = self._t_us[: self._n]
-        if not self._n or t_us > times[-1]:
+        times = self._t_us
+        if not times or t_us > times[-1]:
             return None
-        k = int(times.searchsorted(t_us))
-        motion = self._motion[k, :, i]
+        k = bisect_left(times, t_us)
+        x_px, y_px, vx_px_s, vy_px_s = self._motion[k, :, i].tolist()
         if k > 0:
+            x0_px, y0_px, vx0_px_s, vy0_px_s = self._motion[k - 1, :, i].tolist()
             share = (times[k] - t_us) / (times[k] - times[k - 1])
-            motion = motion + share * (self._motion[k - 1, :, i] - motion)
-        x_px, y_px, vx_px_s, vy_px_s = motion.tolist()
+            x_px += share * (x0_px - x_px)
+            y_px += share * (y0_px - y_px)
+            vx_px_s += share * (vx0_px_s - vx_px_s)
+            vy_px_s += share * (vy0_px_s - vy_px_s)
         return x_px, y_px, vx_px_s, vy_px_s

@@ -85,6 +85,11 @@ class LinkPlan:
             known = (_key_of(beacon), beacon.payload)
             # Two listed beacons that send the same cannot be told apart: they are called by what they send.
             self._names[known] = "" if known in self._names else beacon.name
+        # By link as well: asked at every frame.
+        self._listed: list[dict[int | None, str]] = [
+            {payload: name for (key, payload), name in self._names.items() if key == row.key and name}
+            for row in self.rows
+        ]
 
     def _check_together(self, config: DecoderConfig) -> None:
         """Check what the beacons of one protocol must not be to each other, where a modulation has such a rule."""
@@ -157,7 +162,7 @@ class LinkPlan:
 
     def listed(self, link: int, payload: int | None) -> str | None:
         """Return the name of the listed beacon that sends this payload on this link."""
-        return self._names.get((self.rows[link].key, payload)) or None
+        return self._listed[link].get(payload)
 
     def token(self, link: int, payload: int | None) -> str | None:
         """Return what tells this identity from every other one that the site can read; None for text, which has none.

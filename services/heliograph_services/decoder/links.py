@@ -59,6 +59,7 @@ class _Contender:
     loss_us: int  # how long an identity lives without support
     due_us: Callable[[], int] | None  # of a receiver that says when it is due
     counted: Refusals = field(default_factory=Refusals)
+    refused: int = 0  # their sum
     held: list[LinkFrame | Text] = field(default_factory=list)
     invalid_since_us: int | None = None
 
@@ -74,6 +75,7 @@ class TrackLinks:
         self._plan = plan
         self._contenders: list[_Contender] = []
         self.winner: _Contender | None = None  # whose identity the track holds
+        self._found: tuple[int, Accepted] | None = None  # what `accepted` returns at one time
         self._refusals = Refusals()
         self._measuring = Measuring(plan.measure)
         self._rates: tuple[float, ...] = ()  # measured ones
@@ -99,6 +101,7 @@ class TrackLinks:
             depth: (n,) uint8, how deep in the track's image they lie (heliograph_services.decoder.routing).
             until_us: there are no more events before this time.
         """
+        self._found = None
         if not self._contenders:
             measured = self._measuring.feed(t_us, on, depth, until_us)
             if measured is None:
@@ -131,24 +134,28 @@ class TrackLinks:
 
     def flush(self, now_us: int) -> list[Decided]:
         """Decide and return all that is held: the track's stream has ended."""
+        self._found = None
         for one in self._contenders:
             one.held += one.receiver.flush()
         return self._settle(now_us, hold_us=-FOREVER_US)
 
     def _settle(self, now_us: int, hold_us: int = CONTEST_US) -> list[Decided]:
-        if self.winner is not None and not self._supported(self.winner, now_us):
+        winner = self.winner
+        if winner is not None and (identity := self._supported(winner, now_us)) is not None:
+            # The usual case: nobody else contends, nothing is held back, and a receiver that is read is not renewed.
+            self._found = now_us, Accepted(winner.link, identity)
+            winner.invalid_since_us = None
+            return self._told(winner)
+        if winner is not None:
             self.winner = None
             absent = [i for i in range(len(self._plan.rows)) if all(one.link != i for one in self._contenders)]
             self._entered_us = now_us
             self._enter(absent)
-        elif self.winner is None:
+        else:
             self._vote(now_us)
         self._renew(now_us)
         if len(self._contenders) == 1 and (self.winner is not None or not self._rates):
-            # The usual case: nothing is held back.
-            only = self._contenders[0]
-            told, only.held = only.held, []
-            return [Decided(only.link, item) for item in told]
+            return self._told(self._contenders[0])
         newest_us = now_us + 1 if len(self._contenders) == 1 else now_us - hold_us
         if self._hopeless(now_us):
             newest_us = now_us + 1
@@ -159,6 +166,13 @@ class TrackLinks:
         if self._hopeless(now_us):
             self._measure_anew()
         return out
+
+    def _told(self, one: _Contender) -> list[Decided]:
+        """Return all that a receiver has decided."""
+        if not one.held:
+            return []
+        told, one.held = one.held, []
+        return [Decided(one.link, item) for item in told]
 
     def _hopeless(self, now_us: int) -> bool:
         """Return whether nobody has read anything at the measured rates for long enough."""
@@ -176,7 +190,7 @@ class TrackLinks:
         self._contenders, self._rates = [], ()
 
     def _vote(self, now_us: int) -> None:
-        accepting = [one for one in self._contenders if self._supported(one, now_us)]
+        accepting = [one for one in self._contenders if self._supported(one, now_us) is not None]
         if not accepting:
             return
         self.winner = max(accepting, key=lambda one: (_margin(one), -one.link))
@@ -199,20 +213,24 @@ class TrackLinks:
             elif now_us - one.invalid_since_us >= RETRY_US:
                 self._count(one)
                 fresh = _contender(self._plan, one.link, one.bit_rate)
-                one.receiver, one.due_us, one.counted = fresh.receiver, fresh.due_us, fresh.counted
+                one.receiver, one.due_us = fresh.receiver, fresh.due_us
+                one.counted, one.refused = fresh.counted, 0
                 one.invalid_since_us = None
 
-    def _supported(self, one: _Contender, now_us: int) -> bool:
+    def _supported(self, one: _Contender, now_us: int) -> Identity | None:
+        """Return the identity that a receiver holds, if it still counts."""
         identity = one.receiver.identity()
-        if identity is None or one.receiver.verdict(now_us) == "invalid":
-            return False
-        return now_us - identity.t_us <= one.loss_us
+        if identity is None or now_us - identity.t_us > one.loss_us or one.receiver.verdict(now_us) == "invalid":
+            return None
+        return identity
 
     def accepted(self, now_us: int) -> Accepted | None:
         """Return the identity that the track holds at now_us."""
-        if self.winner is None or not self._supported(self.winner, now_us):
+        if self.winner is None:
             return None
-        identity = self.winner.receiver.identity()
+        if self._found is not None and self._found[0] == now_us:
+            return self._found[1]
+        identity = self._supported(self.winner, now_us)
         return None if identity is None else Accepted(self.winner.link, identity)
 
     def verdict(self, now_us: int) -> Verdict:
@@ -230,6 +248,7 @@ class TrackLinks:
         return None
 
     def _count(self, one: _Contender) -> None:
+        one.refused = sum(one.receiver.refusals.values())
         for reason, n in one.receiver.refusals.items():
             if n > one.counted[reason]:
                 self._refusals[reason] += n - one.counted[reason]
@@ -238,7 +257,7 @@ class TrackLinks:
     def take_refusals(self) -> Refusals:
         """Return what was refused since the last call."""
         for one in self._contenders:
-            if one.receiver.refusals != one.counted:
+            if sum(one.receiver.refusals.values()) != one.refused:
                 self._count(one)
         measured = self._measuring.refusals
         if not self._refusals and not measured:

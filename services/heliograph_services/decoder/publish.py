@@ -74,7 +74,8 @@ class Publisher:
 
     def frames(self, rows: list[FrameRow], refused: Refusals, t0_us: int, t1_us: int) -> Frames:
         """Return the frames of a window by (t_us, track), and what was refused in it."""
-        rows = sorted(rows, key=lambda row: (row.frame.t_us, row.serial))
+        if len(rows) > 1:
+            rows = sorted(rows, key=lambda row: (row.frame.t_us, row.serial))
         return Frames(
             camera=self._camera,
             t0_us=t0_us,

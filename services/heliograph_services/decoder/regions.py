@@ -261,6 +261,10 @@ class Regions:
         x_px, y_px, vx_px_s, vy_px_s, reach_px = self._state[: REACH + 1, i].tolist()
         return Place(x_px, y_px, vx_px_s, vy_px_s, reach_px)
 
+    def reach_px(self, i: int) -> float:
+        """Return how far from its centre region i hears."""
+        return float(self._state[REACH, i])
+
     def doubt(self, i: int) -> Doubt:
         """Return how sure that is."""
         xx, xv, vv = self._state[P_XX : P_VV + 1, i].tolist()
