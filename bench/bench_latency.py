@@ -1,7 +1,8 @@
 """From the end of a frame to a subscriber in another process: a distribution for every hop.
 
-A recording of twenty beacons at 2 kbit/s (`decoder_corpus`, 1 Mev/s) is played at real time in batches of 1 ms by the
-source's process; router, tracker and decoder run beside it, and this process subscribes to `frames`. All clocks are the
+A recording of beacons at 2 kbit/s (`decoder_corpus`; twenty of them and 1 Mev/s, or as `--beacons` and `--mev-s` say:
+five and .25 are as many events a beacon) is played at real time in batches of 1 ms by the source's process; router,
+tracker and decoder run beside it, and this process subscribes to `frames`. Of nothing else it asks. All clocks are the
 host's monotonic one; camera time is mapped to it by the batch that left earliest: ideal(t) = t + min(sent - t1). A
 batch ends at its watermark t1, so a source that is on time sends it at ideal(t1). ::
 
@@ -12,10 +13,12 @@ batch ends at its watermark t1, so a source that is on time sends it at ideal(t1
     publish      -> the last message is out          subscriber -> read and unpacked here, from the decoder's sending
 
 A second counts where the source was on time: 99 in 100 of its batches left no more than `LATE_US` late; their share is
-told, and the source's lateness over all seconds beside it.
+told, and the source's lateness over all seconds beside it. `cores` is processor time a second of each process, all
+its threads: where they add up to what the machine has, what is measured is the queue for it.
 The first `SKIPPED_S` are the acquisition's, and a frame that ended more than `BACKLOG_US` ago came from it.
 
-Run: OMP_NUM_THREADS=1 python bench/bench_latency.py [--seconds 60] [-o FILE]      (about 1.2 cores for that long)
+Run: OMP_NUM_THREADS=1 python bench/bench_latency.py [--seconds 60] [--beacons 20 5] [--mev-s 1 .25] [-o FILE]
+(about 1.3 cores for that long with twenty beacons, half of that with five)
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ import argparse
 import json
 import os
 import platform
+import resource
 import subprocess
 import sys
 import tempfile
@@ -42,7 +46,7 @@ from heliograph.messages import Frames  # noqa: E402
 from support.processes import Host, collecting, free_port  # noqa: E402
 
 RESULT: Final = Path(__file__).parent / "results" / "latency.json"
-SEED, EVENTS_HZ, INSIDE = 1, 1e6, 0.6
+SEED, INSIDE = 1, 0.6
 BIT_RATE: Final = 2_000.0
 # 2000 frames of 11 bits: at the seam of the loop nothing jumps.
 RECORDING_S: Final = 11.0
@@ -93,13 +97,15 @@ bit_rate = 2000
 """
 
 
-def played(seconds: float, batch_us: int, window_us: int) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
+def played(
+    seconds: float, beacons: int, events_hz: float, batch_us: int, window_us: int
+) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
     """Return the decoder's rows (`timed_decoder`), rows of frames heard here, and the processes' shares of a core.
 
     A frame's row: its end (camera us), its window's end (camera us), when it was read here (monotonic ns).
     """
-    corpus = decoder_corpus.corpus(SEED, RECORDING_S, EVENTS_HZ, INSIDE, bit_rate=BIT_RATE)
-    beacons = "".join(BEACON.format(name=b.name, payload=b.payload) for b in corpus.beacons)
+    corpus = decoder_corpus.corpus(SEED, RECORDING_S, events_hz, INSIDE, beacons=beacons, bit_rate=BIT_RATE)
+    listed = "".join(BEACON.format(name=b.name, payload=b.payload) for b in corpus.beacons)
     with tempfile.TemporaryDirectory(prefix="heliograph-bench-") as name:
         folder = Path(name)
         live_scenes.write_recording(folder / "scene.npz", [corpus.batch], decoder_corpus.WIDTH, decoder_corpus.HEIGHT)
@@ -107,7 +113,7 @@ def played(seconds: float, batch_us: int, window_us: int) -> tuple[np.ndarray, n
         port = free_port()
         site = SITE.format(
             port=port, file=folder / "scene.npz", seconds=seconds + SKIPPED_S, batch_us=batch_us, window_us=window_us,
-            beacons=beacons,
+            beacons=listed,
         )  # fmt: skip
         host = Host(folder, "latency", site, [])
         rows = folder / "rows.npy"
@@ -117,9 +123,11 @@ def played(seconds: float, batch_us: int, window_us: int) -> tuple[np.ndarray, n
                 host.start("tracker")
                 host.start("event_source")
                 heard.until(lambda h: len(h.messages["frames"]) > 0, "the first frame", 180)
-                before = _cpu_s(host), time.monotonic()
+                ended = resource.getrusage(resource.RUSAGE_CHILDREN)
+                before_s = ended.ru_utime + ended.ru_stime
+                before = _cpu_s(host, before_s), time.monotonic()
                 host.wait("event_source", seconds + 120)
-                after = _cpu_s(host), time.monotonic()
+                after = _cpu_s(host, before_s), time.monotonic()
         finally:
             host.close()
         share = {kind: round((s - before[0][kind]) / (after[1] - before[1]), 3) for kind, s in after[0].items()}
@@ -141,15 +149,18 @@ def _start_timed(host: Host, rows: Path) -> None:
     )  # fmt: skip
 
 
-def _cpu_s(host: Host) -> dict[str, float]:
+def _cpu_s(host: Host, before_s: float) -> dict[str, float]:
+    """Return the processor time of each process so far; before_s is that of children that ended earlier."""
     tick = os.sysconf("SC_CLK_TCK")
-    out = {}
+    ended = resource.getrusage(resource.RUSAGE_CHILDREN)
+    out = {"subscriber": time.process_time()}
     for kind, process in host.processes.items():
         try:
             fields = Path(f"/proc/{process.pid}/stat").read_text().rsplit(")", 1)[1].split()
+            out[kind] = (int(fields[11]) + int(fields[12])) / tick
         except OSError:
-            continue
-        out[kind] = (int(fields[11]) + int(fields[12])) / tick
+            # The source, whose recording is over: nobody else ends before.
+            out[kind] = ended.ru_utime + ended.ru_stime - before_s
     return out
 
 
@@ -188,13 +199,21 @@ def hops(
     return found, len(on_time) / max(1, len(counted))
 
 
-def run(seconds: float, most_late_us: float, batch_us: int = 1_000, window_us: int = 1_000) -> dict[str, Any]:
+def run(
+    seconds: float,
+    most_late_us: float,
+    beacons: int = 20,
+    events_hz: float = 1e6,
+    batch_us: int = 1_000,
+    window_us: int = 1_000,
+) -> dict[str, Any]:
     """Return what was measured."""
-    rows, frames, share = played(seconds, batch_us, window_us)
+    rows, frames, share = played(seconds, beacons, events_hz, batch_us, window_us)
     found, on_time = hops(rows, frames, 0.5e6 / BIT_RATE, most_late_us)
     result: dict[str, Any] = {
-        "most_late_us": most_late_us, "batch_us": batch_us, "window_us": window_us, "seconds": seconds,
-        "frames": len(found["whole"]), "share_of_seconds_on_time": round(on_time, 3), "cores": share,
+        "beacons": beacons, "mev_s": events_hz / 1e6, "most_late_us": most_late_us, "batch_us": batch_us,
+        "window_us": window_us, "seconds": seconds, "frames": len(found["whole"]),
+        "share_of_seconds_on_time": round(on_time, 3), "cores": share,
     }  # fmt: skip
     for hop in HOPS:
         at = np.percentile(found[hop], [1, 50, 90, 99, 100]) if len(found[hop]) else np.full(5, np.nan)
@@ -207,13 +226,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--late-us", type=float, default=LATE_US)
+    parser.add_argument("--beacons", type=int, nargs="+", default=[20], help="numbers of beacons to measure")
+    parser.add_argument("--mev-s", type=float, nargs="+", default=[1.0], help="events of each, Mev/s; the last goes on")
     parser.add_argument("--windows", type=int, nargs="+", default=[1_000], help="decoder windows to measure, us")
     parser.add_argument("-o", "--output", type=Path, default=RESULT)
     args = parser.parse_args()
     rows = []
-    for window_us in args.windows:
-        rows.append(run(args.seconds, args.late_us, window_us=window_us))
-        print("\n".join(f"{name}: {value}" for name, value in rows[-1].items()), flush=True)
+    for k, beacons in enumerate(args.beacons):
+        events_hz = 1e6 * args.mev_s[min(k, len(args.mev_s) - 1)]
+        for window_us in args.windows:
+            rows.append(run(args.seconds, args.late_us, beacons, events_hz, window_us=window_us))
+            print("\n".join(f"{name}: {value}" for name, value in rows[-1].items()), flush=True)
     about = {"evidence": "simulated", "machine": platform.machine(), "python": platform.python_version(), "unit": "ms"}
     args.output.write_text(json.dumps(about | {"seed": SEED, "runs": rows}, indent=1) + "\n")
 

@@ -197,10 +197,12 @@ class Acceptance:
         return self._heard_us is not None and now_us - self._heard_us > delay_us
 
     def _move(self, by: int) -> None:
-        self.score = min(max(self.score + by, SCORE_MIN), SCORE_MAX)
-        if self.score >= SCORE_MAX:
-            self.status = "valid"
-        elif self.score <= 0:
+        score = self.score + by
+        if score >= SCORE_MAX:
+            self.score, self.status = SCORE_MAX, "valid"
+            return
+        self.score = max(score, SCORE_MIN)
+        if score <= 0:
             self.status = "invalid"
             self._forget()
 
@@ -209,23 +211,20 @@ class Acceptance:
         self._candidate = None
         self._row.clear()
 
-    def _continues(self, frame: LinkFrame, place: Place) -> bool:
-        before, at = self._row[-1]
-        same = before.payload == frame.payload and at.lock == place.lock
-        return same and (place.slot - at.slot) % self._bits == 0
-
     def _append(self, frame: LinkFrame, place: Place) -> None:
         """Go on with the row, or begin it anew."""
-        if self._row and not self._continues(frame, place):
-            self._row.clear()
-        if self._row:
-            lost = (place.slot - self._row[-1][1].slot) // self._bits - 1
-            self._nats += lost * _LOST
-        if not self._row or self._nats <= 0.0:
-            self._nats = 0.0
+        row, nats = self._row, 0.0
+        if row:
+            before, at = row[-1]
+            frames, rest = divmod(place.slot - at.slot, self._bits)
+            if rest or before.payload != frame.payload or at.lock != place.lock:
+                row.clear()
+            else:
+                nats = max(self._nats + (frames - 1) * _LOST, 0.0)
         if self._evidence is not None:
-            self._nats += self._evidence.of(frame.score) + _CAME
-        self._row.append((frame, place))
+            nats += self._evidence.of(frame.score) + _CAME
+        self._nats = nats
+        row.append((frame, place))
 
     def _enough(self, place: Place) -> bool:
         """Return whether as many equal frames as are needed, the newest at this place, are an identity."""
@@ -234,8 +233,8 @@ class Acceptance:
         return (place.slot - self._row[0][1].slot) // self._bits <= SPAN * self._needed - 1
 
     def _support(self, known: Identity, frame: LinkFrame) -> None:
-        frames = [each for each, _ in self._row]
-        confidence = _confidence(frames) if len(frames) == self._needed else known.confidence
+        row = self._row
+        confidence = _confidence([each for each, _ in row]) if len(row) == self._needed else known.confidence
         used, margin = known.frames_used + 1, known.margin + frame.margin
         self._identity = Identity(known.payload, known.since_us, frame.t_us, used, margin, confidence)
 

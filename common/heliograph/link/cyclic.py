@@ -366,25 +366,27 @@ class CyclicReceiver:
 
     def _settle(self, origin_us: int, out: list[LinkFrame | Text]) -> None:
         """Turn the demodulator's records into frames and refusals."""
-        floats, ints = self._state.floats, self._state.ints
+        floats, ints, acceptance = self._state.floats, self._state.ints, self._acceptance
         heard = float(floats[state.BOUNDARY]) - (int(ints[state.SILENT]) + 1) * float(floats[state.PERIOD])
-        self._acceptance.heard(origin_us + round(heard * self._bit_us))
-        for record in self._state.out[: ints[state.OUT]].tolist():
-            end, code, score, margin, slot = record
+        acceptance.heard(origin_us + round(heard * self._bit_us))
+        records = int(ints[state.OUT])
+        if not records:
+            return
+        ints[state.OUT] = 0
+        for end, code, score, margin, slot in self._state.out[:records].tolist():
             end_us = origin_us + round(end * self._bit_us)
             reason = self._reason(int(code))
             self._recent.append((end_us, reason is None))
             if reason is not None:
                 self.refusals[reason] += 1
                 if reason is not Refusal.OCCLUSION:
-                    self._acceptance.refuse()
+                    acceptance.refuse()
                 continue
             frame = LinkFrame(end_us, int(code), min(score, 1.0), margin)
             self._frame_end_us = end_us
-            if self._acceptance.frame(frame, Place(self._locks, int(slot))):
+            if acceptance.frame(frame, Place(self._locks, int(slot))):
                 self.refusals[Refusal.PAYLOAD_CHANGED] += 1
             out.append(frame)
-        ints[state.OUT] = 0
 
     def _reason(self, code: int) -> Refusal | None:
         if code >= 0:

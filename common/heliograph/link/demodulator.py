@@ -160,5 +160,4 @@ def advance(t: Floats, on: Flags, until: float, state: State) -> tuple[int, int]
     Returns:
         DONE, FULL (empty `state.out`, call again) or LOST (the clock), and how many events were taken.
     """
-    outcome, taken = _KERNEL(t, on, until, state)
-    return int(outcome), int(taken)
+    return _KERNEL(t, on, until, state)

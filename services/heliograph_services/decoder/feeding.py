@@ -22,7 +22,7 @@ import numpy as np
 from heliograph.events import Flags, Times
 from heliograph_services.decoder.region_state import NEVER, Depths, Ints
 from heliograph_services.decoder.regions import Routed
-from heliograph_services.decoder.sorting import gather
+from heliograph_services.decoder.sorting import gather, keep
 from heliograph_services.decoder.tracks import READING_US
 
 # A frame of 20 bits at 50 bit/s takes 400 ms, and may be dark for most of it.
@@ -110,18 +110,15 @@ class Feeding:
         """Take what a window that ends at t1_us holds."""
         if self._windows == WINDOWS_KEPT:
             self._drain()
-        starts, m = routed.starts, len(routed.t_us)
-        behind = self._events + m
+        behind = self._events + len(routed.t_us)
         if behind > len(self._t_us):
             self._grow(behind)
-        self._t_us[self._events : behind] = routed.t_us
-        self._on[self._events : behind] = routed.on
-        self._depth[self._events : behind] = routed.depth
-        self._starts[self._windows, : self.n + 1] = starts
-        self._starts[self._windows, : self.n + 1] += self._events
+        keep(
+            routed.t_us, routed.on, routed.depth, routed.starts, t1_us, self._events,
+            self._t_us, self._on, self._depth, self._starts[self._windows], self._heard_us,
+        )  # fmt: skip
         self._events = behind
         self._windows += 1
-        self._heard_us[: self.n][starts[1:] > starts[:-1]] = t1_us
 
     def _grow(self, events: int) -> None:
         room = max(2 * len(self._t_us), events)

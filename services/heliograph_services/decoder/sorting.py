@@ -1,4 +1,4 @@
-"""The kernels that sort what regions have heard by track, and gather what one has heard."""
+"""The kernels that sort what regions have heard by track, keep it, and gather what one has heard."""
 
 from __future__ import annotations
 
@@ -29,6 +29,45 @@ def sort_by_track(
         depth[at[i]] = hit_depth[j]
         at[i] += 1
     return starts, times, levels, depth
+
+
+@kernel
+def keep(
+    t_us: Times,
+    on: Flags,
+    depth: Depths,
+    starts: Ints,
+    t1_us: int,
+    events: int,
+    kept_t_us: Times,
+    kept_on: Flags,
+    kept_depth: Depths,
+    kept_starts: Ints,
+    heard_us: Ints,
+) -> None:
+    """Append what a window holds to what is kept of the windows before it.
+
+    Args:
+        t_us: (m,), as on and depth: of the window, sorted by track.
+        on: (m,).
+        depth: (m,).
+        starts: (n + 1,): where the tracks' begin.
+        t1_us: the window's end.
+        events: how many are kept already.
+        kept_t_us: (events + m or more,), as kept_on and kept_depth.
+        kept_on: as above.
+        kept_depth: as above.
+        kept_starts: (n + 1 or more,) out: where the tracks' begin among all that is kept.
+        heard_us: (n or more,) out: t1_us for the tracks that have heard something.
+    """
+    n = len(starts) - 1
+    for j in range(len(t_us)):
+        kept_t_us[events + j], kept_on[events + j], kept_depth[events + j] = t_us[j], on[j], depth[j]
+    for i in range(n):
+        kept_starts[i] = starts[i] + events
+        if starts[i + 1] > starts[i]:
+            heard_us[i] = t1_us
+    kept_starts[n] = starts[n] + events
 
 
 @kernel
