@@ -7,6 +7,7 @@ pixel became brighter. y grows downwards, pixel (0, 0) is the upper left one.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +15,11 @@ import numpy.typing as npt
 Times = npt.NDArray[np.int64]
 Pixels = npt.NDArray[np.uint16]
 Flags = npt.NDArray[np.bool_]
+
+_COLUMNS: Final = tuple(
+    (name, np.dtype(kind))
+    for name, kind in (("t_us", np.int64), ("x_px", np.uint16), ("y_px", np.uint16), ("on", np.bool_))
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,14 +43,13 @@ class EventBatch:
     on: Flags
 
     def __post_init__(self) -> None:
-        wanted = (("t_us", np.int64), ("x_px", np.uint16), ("y_px", np.uint16), ("on", np.bool_))
-        n = len(self.t_us)
-        for name, dtype in wanted:
+        shape = (len(self.t_us),)
+        for name, dtype in _COLUMNS:
             array = getattr(self, name)
             if array.dtype != dtype:
-                raise TypeError(f"{name} must be {np.dtype(dtype).name}, not {array.dtype.name}")
-            if array.shape != (n,):
-                raise ValueError(f"{name} must have the shape ({n},) of t_us, not {array.shape}")
+                raise TypeError(f"{name} must be {dtype.name}, not {array.dtype.name}")
+            if array.shape != shape:
+                raise ValueError(f"{name} must have the shape {shape} of t_us, not {array.shape}")
 
     def __len__(self) -> int:
         return len(self.t_us)

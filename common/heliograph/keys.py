@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 from heliograph.messages import Message
@@ -40,6 +41,8 @@ TOPICS: Final[dict[str, int]] = {
     "health": 2,
     "live": 2,
 }
+# A process names the same few keys a thousand times a second: those of its cameras, and of the tracks of the moment.
+KEYS_KEPT: Final = 1024
 _CHUNK: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.:-]{0,63}")
 
 
@@ -72,6 +75,11 @@ def key(site: str, topic: str, *parts: str) -> str:
     Raises:
         ValueError: an unknown topic, a wrong number of parts, or a part that may not stand in a key.
     """
+    return _key(site, topic, parts)
+
+
+@lru_cache(maxsize=KEYS_KEPT)
+def _key(site: str, topic: str, parts: tuple[str, ...]) -> str:
     if topic not in TOPICS:
         raise ValueError(f"topic must be one of {', '.join(TOPICS)}, not {topic!r}")
     if len(parts) != TOPICS[topic]:

@@ -48,7 +48,8 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
 
     def to_body(self) -> dict[str, Any]:
         """Return the body for the wire: plain values, fields in the order of their definition."""
-        return {name: msgspec.to_builtins(getattr(self, name)) for name in self.__struct_fields__}
+        body: dict[str, Any] = msgspec.to_builtins(self)
+        return body
 
     @classmethod
     def from_body(cls, body: dict[str, Any]) -> Message:

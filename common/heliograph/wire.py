@@ -19,7 +19,7 @@ what fails has a name (`heliograph.errors.Refusal`) and is counted by the receiv
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 import msgpack
 import msgspec
@@ -99,8 +99,9 @@ def encoding_of(message: Message | type[Message]) -> str:
 
 def pack(header: Header, message: Message) -> bytes:
     """Return the payload of a record under a header."""
-    envelope: dict[str, Any] = {name: getattr(header, name) for name in Header.__struct_fields__}
-    packed: bytes = msgpack.packb(envelope | {"body": message.to_body()})
+    envelope = msgspec.structs.asdict(header)
+    envelope["body"] = message.to_body()
+    packed: bytes = msgpack.packb(envelope)
     return packed
 
 
