@@ -109,8 +109,7 @@ class CyclicReceiver:
         at = float(floats[state.BOUNDARY]) + (slots + 0.5) * float(floats[state.PERIOD])
         if self._scans.scanned is not None:
             at += scans.TOGETHER
-        early = EARLY_BITS if slots else 0.0
-        return self._origin_us + int(np.ceil((at - early) * self._bit_us))
+        return self._origin_us + int(np.ceil((at - (EARLY_BITS if slots else 0.0)) * self._bit_us))
 
     def flush(self) -> list[LinkFrame | Text]:
         """Decide the frame that ends within the last bit; the stream has ended."""
@@ -137,6 +136,8 @@ class CyclicReceiver:
 
     def quality(self, now_us: int) -> LinkQuality:
         """Return how well the last second was read."""
+        while self._recent and self._recent[0][0] <= now_us - US_PER_S:
+            self._recent.popleft()
         newest = [ok for end_us, ok in self._recent if now_us - US_PER_S < end_us <= now_us]
         mar = sum(newest) / len(newest) if newest else None
         if self._origin_us is None or self._state.ints[state.ALIGNED] < 0:
@@ -369,11 +370,9 @@ class CyclicReceiver:
         floats, ints, acceptance = self._state.floats, self._state.ints, self._acceptance
         heard = float(floats[state.BOUNDARY]) - (int(ints[state.SILENT]) + 1) * float(floats[state.PERIOD])
         acceptance.heard(origin_us + round(heard * self._bit_us))
-        records = int(ints[state.OUT])
-        if not records:
-            return
+        records = self._state.out[: ints[state.OUT]].tolist()
         ints[state.OUT] = 0
-        for end, code, score, margin, slot in self._state.out[:records].tolist():
+        for end, code, score, margin, slot in records:
             end_us = origin_us + round(end * self._bit_us)
             reason = self._reason(int(code))
             self._recent.append((end_us, reason is None))
