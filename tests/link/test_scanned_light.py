@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from heliograph.link import scan_response, scans
+from heliograph.link import clock, scan_response, scans
 from heliograph.link.contract import LinkFrame
 from heliograph.link.cyclic import CyclicReceiver
 from heliograph.link.frames import SEED11_BITS, bits_of, seed11_code
@@ -132,3 +132,31 @@ def test_a_response_is_learned_by_four_bits_and_shorter_ones_stand_in() -> None:
     assert rate[0b0101, 1, 8] == pytest.approx(20.0, rel=0.15)
     assert rate[0b0000, 1, 8] < 3.0
     assert rate[:, 0].max() == 0.0
+
+
+def test_what_lies_behind_the_end_of_a_stream_is_no_evidence_and_frames_that_end_there_are_not_told() -> None:
+    told, wrong = 0, 0
+    for seed in range(12, 18):
+        bit_rate, scan_us = ((2000.0, 199.0), (2500.0, 199.0), (5000.0, 65.0))[seed % 3]
+        t_us, on, payloads, bit_us = scanned(bit_rate, scan_us, 60, seed)
+        ends = t_us[-1] - (np.arange(len(payloads))[::-1] * SEED11_BITS * bit_us)
+        for cut_us in np.random.default_rng(seed).integers(t_us[-1] // 3, t_us[-1], 8).tolist():
+            stop = int(np.searchsorted(t_us, cut_us))
+            receiver = CyclicReceiver(CODE, bit_rate)
+            receiver.feed(t_us[:stop], on[:stop], cut_us)
+            for frame in receiver.flush():
+                assert isinstance(frame, LinkFrame)
+                assert frame.t_us < cut_us + 0.6 * bit_us
+                told += 1
+                wrong += payloads[int(np.argmin(np.abs(ends - frame.t_us)))] != frame.payload
+    assert told > 30
+    assert wrong <= 1  # as many as the scores of these frames expect
+
+
+def test_the_nominal_rate_is_among_those_searched_though_a_window_has_an_odd_number_of_blocks() -> None:
+    sums = np.zeros((3, clock.SUMS))
+    t = np.arange(0.0, 48.0, 2.0) + 0.25
+    for row, first in zip(sums, (0.0, 16.0, 32.0), strict=True):
+        mine = t[(t >= first) & (t < first + 16.0)] - first
+        clock.block(mine, np.ones(len(mine), np.bool_), row)
+    assert clock.nearest(sums, 0.5)[0] == 1.0

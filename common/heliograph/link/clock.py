@@ -135,6 +135,9 @@ def nearest(sums: Floats, share: float) -> tuple[float, float]:
     z = _spectrum(sums)
     steps = len(z)
     top = z.max()
+    # Of an even number of rates none is the nominal itself: clocks .17 % off were begun with.
+    if steps % 2 == 0 and min(z[steps // 2 - 1], z[steps // 2]) >= share * top:
+        return 1.0, top
     best = 0
     for s in range(steps):
         if z[s] >= share * top and abs(2 * s - steps + 1) < abs(2 * best - steps + 1):

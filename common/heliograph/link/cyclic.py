@@ -121,7 +121,7 @@ class CyclicReceiver:
         if self._origin_us is None:
             return []
         out: list[LinkFrame | Text] = []
-        slots = 1 if self._scans.scanned is None else 2 + scan_state.LAG
+        slots = self._scans.ended((self._until_us - self._origin_us) / self._bit_us)
         self._follow(self._held_t, self._held_on, self._until_us + int(slots * self._bit_us) + 1, out)
         self._held_t, self._held_on = self._held_t[:0], self._held_on[:0]
         return out

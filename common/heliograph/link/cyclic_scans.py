@@ -107,6 +107,16 @@ class ScanSearch:
         self.scanned.turn[scans.USUAL_OFF : scans.SWING] = self._turn[scans.USUAL_OFF : scans.SWING]
         return True
 
+    def ended(self, until: float) -> int:
+        """Take note that the stream ends, in bits from the lock's origin; return in how many slots its last is judged.
+
+        Silence behind the end is no evidence: taken for it, one frame in thirty that ended there was read wrongly.
+        """
+        if self.scanned is None:
+            return 1
+        self.scanned.floats[scan_state.END] = until
+        return 1 + scan_state.LAG
+
     def figures(self, scanned: ScanState) -> tuple[float, float]:
         """Return events of a transition and background events a slot."""
         burst = 0.5 * float(scanned.turn[scans.USUAL_OFF] + scanned.turn[scans.USUAL_ON])

@@ -38,6 +38,7 @@ from heliograph.link.likelihood import FLOOR
 from heliograph.link.scan_response import CONTEXTS
 from heliograph.link.scan_state import (
     BURST,
+    END,
     LAG,
     OFF_EVENTS,
     ON_EVENTS,
@@ -214,6 +215,7 @@ def _silent(until: float, state: State, scanned: ScanState) -> None:
     if own[OPEN] != 0.0:
         own[OPEN] = 0.0
         _take(own[SCAN], own[OFF_EVENTS], own[ON_EVENTS], state, scanned)
+    until = min(until, own[END])
     while own[SCAN] + own[QUANTUM] <= until:
         _take(own[SCAN] + own[QUANTUM], 0.0, 0.0, state, scanned)
 

@@ -135,6 +135,7 @@ def begin(
     scanned.floats[scan_state.QUANTUM] = q
     scanned.floats[scan_state.SCAN] = rows[0, 0] - q
     scanned.floats[scan_state.BURST] = burst
+    scanned.floats[scan_state.END] = np.inf
     scanned.n[:] = 0
     scanned.turned[:] = 0.0
     scanned.before[:] = 0.125

@@ -26,7 +26,8 @@ OFF_EVENTS: Final = 2  # of the newest scan, as long as it may grow
 ON_EVENTS: Final = 3
 OPEN: Final = 4  # 1 while it may grow
 BURST: Final = 5  # events of a burst's scan
-FLOATS: Final = 6
+END: Final = 6  # of the stream: no scan behind it says anything, not even that it is silent
+FLOATS: Final = 7
 
 
 class ScanState(NamedTuple):
