@@ -25,6 +25,10 @@ AS_GOOD: Final = 0.5
 # and a quarter wrong, for good).
 WINDOW_BLOCKS_A_BIT: Final = 36.0
 
+# Half the delay ON - OFF, in bits, is known but for half bits; a rise that much behind a fall is a fall that is late:
+# overexposed pixels fall one scan late, and half a bit either way would be a draw.
+LATE: Final = 0.125
+
 
 class ScanSearch:
     """Sums the turns of one track's light, and begins with what they show.
@@ -100,6 +104,9 @@ class ScanSearch:
         if self._kept is None:
             self._kept = new_scan_state()
         clock.grid(found_t[:n], found_on[:n], f, until, found, np.empty((2, clock.SUB)))
+        if found[2] > LATE:
+            found[2] -= 0.5
+            found[0] -= 0.5 * found[1]
         if not scan_lock.begin(self._kept, t, on, until, found, found_t[:n], found_on[:n]):
             return False
         self.scanned = self._kept

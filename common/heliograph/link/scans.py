@@ -30,14 +30,16 @@ TOGETHER: Final = 1.0 / 64.0
 # Of shorter scans, in bits, the demodulator of events reads every edge; behind longer ones two edges share a scan.
 LEAST: Final = 0.28
 MOST: Final = 0.75
-# Of the gaps, so few are shorter than a scan, by accident; so many are one scan long, where bursts go on for several;
+# Of the gaps, so few are shorter than a scan, by accident; so many are one scan long, where bursts go on for several,
+# or where overexposed images show a single zero as half a bit (.25 to .3 of the gaps of random bits);
 # and of those below FAR scans, so many are whole multiples of one, give or take NEAR.
 FEW: Final = 0.02
-IN_A_ROW: Final = 0.25
+IN_A_ROW: Final = 0.125
 ON_GRID: Final = 0.9
 NEAR: Final = 0.15
 FAR: Final = 6.0
-GAPS_LEAST: Final = 24
+# 48 bits of such images have two dozen edges: known later, they would be taken for events that are no scans.
+GAPS_LEAST: Final = 16
 
 # Places of the turns' state.
 UP: Final = 0
