@@ -90,7 +90,7 @@ def test_nothing_depends_on_how_the_input_is_cut(step_us: int, seed: int) -> Non
 
 def test_scans_are_found_and_continuous_time_is_none() -> None:
     rng = np.random.default_rng(1)
-    on_grid = np.flatnonzero(rng.random(200) < 0.6) * 0.4
+    on_grid = np.flatnonzero(rng.random(200) < 0.6).astype(np.float64) * 0.4
     assert scans.quantum(on_grid) == pytest.approx(0.4)
     assert scans.quantum(on_grid + rng.uniform(0.0, 0.003, len(on_grid))) == pytest.approx(0.4, abs=0.01)
     assert scans.quantum(np.cumsum(rng.exponential(0.4, 300))) == 0.0

@@ -119,7 +119,8 @@ def any_word(counts: Counts, start: int, slots: Slots, before: int, tables: Tabl
             new[c] = top + np.log1p(np.exp(min(a, b) - top)) + row[c]
         old, new = new, old
     top = old.max()
-    return top + np.log(np.exp(old - top).sum())
+    total: float = top + np.log(np.exp(old - top).sum())
+    return total
 
 
 @numba.njit(cache=True, nogil=True)
