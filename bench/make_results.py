@@ -200,8 +200,22 @@ def confusion_section(rows: Rows) -> str:
     head = ("reader", "beacons of others: track-hours", "told", "crowd: track-hours", "told", "a track-hour")
     return out + (
         "Beacons of the other protocols, with random payloads, read at their bit rate and those about it (a fifth to"
-        " five times); `auto` has to say nothing but what is sent.\n\n" + table(head, lines) + "\n"
+        " five times); `auto` has to say nothing but what is sent.\n\n"
+        + table(head, lines)
+        + "\n"
+        + _told_wrongly(rows)
     )
+
+
+def _told_wrongly(rows: Rows) -> str:
+    """Say what was told, light by light: a number alone helps nobody to avoid it."""
+    told = [
+        f"- {one['light']} read by `{name}` as {', '.join(dict.fromkeys(one['identities'])) or 'text'}"
+        for row in rows
+        for name, each in row.get("readers", {}).items()
+        for one in each["told"]
+    ]
+    return "\nTold wrongly (`protocol@bit rate`):\n\n" + "\n".join(told) + "\n" if told else ""
 
 
 def sections() -> list[Callable[[], str]]:
