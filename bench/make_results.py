@@ -209,11 +209,13 @@ def confusion_section(rows: Rows) -> str:
 
 def _told_wrongly(rows: Rows) -> str:
     """Say what was told, light by light: a number alone helps nobody to avoid it."""
+    found = [
+        (f"{row['protocol']}@{row['rate']}", one) for row in rows if row["part"] == "lights" for one in row["told"]
+    ]
+    found += [(name, one) for row in rows for name, each in row.get("readers", {}).items() for one in each["told"]]
     told = [
         f"- {one['light']} read by `{name}` as {', '.join(dict.fromkeys(one['identities'])) or 'text'}"
-        for row in rows
-        for name, each in row.get("readers", {}).items()
-        for one in each["told"]
+        for name, one in found
     ]
     return "\nTold wrongly (`protocol@bit rate`):\n\n" + "\n".join(told) + "\n" if told else ""
 

@@ -273,7 +273,7 @@ def page(told: dict[str, Any]) -> str:
         lost = ", ".join(f"{k} {n} ({g})" for k, (n, g) in one["lost"].items() if n) or "none"
         ours = _words(one["ours"])
         if "uart" in group:
-            ours = f"{ours}; CER {one['cer']['ours']:.4f} (at most {one['cer_ours_high']:.4f})"
+            ours = f"{ours}; CER {one['cer']['ours']:.4f}"
         cells = [name, str(QUOTED.get(name, "-")), _words(one["other"]), ours, f"{_words(one['genie'])} {one['ear']}"]
         cells += [_words(one["minus_genie"]), lost, f"{one['ours']['n']} frames, {one['runs']} runs"]
         lines.append("| " + " | ".join(cells) + " |")
