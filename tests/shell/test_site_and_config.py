@@ -159,3 +159,9 @@ def test_keeping_a_topic_needs_a_known_topic_and_the_peers() -> None:
         router_config(RouterLinks(keep=("gossip",), peers=("1",)), BusLinks())
     with pytest.raises(ConfigError, match="keep needs `peers`"):
         router_config(RouterLinks(keep=("events",)), BusLinks())
+
+
+def test_routers_compress_between_them_and_clients_do_not() -> None:
+    links = BusLinks(connect=("tcp/127.0.0.1:7447",))
+    assert router_config(RouterLinks(), links)["transport"]["unicast"]["compression"]["enabled"] is True
+    assert "unicast" not in client_config(links)["transport"]
