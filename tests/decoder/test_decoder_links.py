@@ -228,3 +228,9 @@ def test_slow_words_hear_the_heart_and_slow_pulses_the_whole() -> None:
     ]
     plan = LinkPlan(DecoderConfig(beacons=tuple(listed)))
     assert [plan.depth(i, row.key.bit_rate or 0.0) for i, row in enumerate(plan.rows)] == [HEART_OF, 0, HEART_OF]
+
+
+def test_slow_text_hears_the_heart_and_fast_text_the_whole() -> None:
+    listed = [Beacon(name=f"b{rate}", protocol="uart", bit_rate=rate) for rate in (504, 3_125, 10_000)]
+    plan = LinkPlan(DecoderConfig(beacons=tuple(listed)))
+    assert [plan.depth(i, row.key.bit_rate or 0.0) for i, row in enumerate(plan.rows)] == [HEART_OF, 0, 0]

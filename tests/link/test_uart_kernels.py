@@ -74,6 +74,18 @@ def test_the_way_through_a_stretch_is_that_of_trying_every_character_everywhere(
     )
 
 
+@pytest.mark.parametrize("place", [0.0, 40.0, 170.5])
+def test_after_junk_a_character_at_another_place_than_the_ones_before_costs_more(place: float) -> None:
+    bits = [0, 1, 0, 0, 1, 0, 1, 0, 0, 1, 0, *character_bits(ord("k")), 1, 1, 1, 1]
+    counts = (ideal(bits) + np.random.default_rng(3).poisson(0.3, (len(bits) * SUB_BINS, 2))).astype(np.int32)
+    response = StepResponse(10.0)
+    path = np.empty((len(counts), 2), np.int64)
+    steps = explain(counts, 0, len(counts), slots_of(SUB_BINS), IDLE_CONTEXT, response.tables, path, place)
+    assert [(int(at), int(code)) for at, code in path[:steps]] == uart_plain.explained(
+        counts, len(counts), IDLE_CONTEXT, response, place
+    )
+
+
 def test_idle_time_is_skipped_up_to_the_start_bit() -> None:
     counts = ideal([*[1] * 9, 0, 0, 1, 1])
     at = skip_idle(counts, 0, 10 * SUB_BINS, StepResponse(10.0).tables)

@@ -47,10 +47,13 @@ IDLE, JUNK, LEAVE, NONE = -1, -2, 7.0, -1e300
 Step = tuple[int, int]
 
 
-def explained(counts: npt.NDArray[np.int32], n: int, before: int, response: StepResponse) -> list[Step]:
+def explained(
+    counts: npt.NDArray[np.int32], n: int, before: int, response: StepResponse, place: float = np.nan
+) -> list[Step]:
     """Return (sub-bin, code or IDLE or JUNK) of the likeliest way through n sub-bins that begins at the first one.
 
-    All characters are tried everywhere, and every way is kept whole. Bits are 16 sub-bins long.
+    All characters are tried everywhere, and every way is kept whole. Bits are 16 sub-bins long. Junk that ends more
+    than 4 sub-bins off place + 176 k costs 7 more.
     """
     log_rate, rate, total, quiet = response.tables
     rows = np.array([
@@ -64,8 +67,9 @@ def explained(counts: npt.NDArray[np.int32], n: int, before: int, response: Step
     junk: list[list[tuple[float, list[Step]]]] = [[(NONE, [])] * 32 for _ in range(n + 1)]
     for g in range(n + 1):
         best = max(range(32), key=lambda c: (junk[g][c][0], -c))
-        if junk[g][best][0] - LEAVE > ends[g][0]:
-            ends[g] = (junk[g][best][0] - LEAVE, junk[g][best][1], best, 0)
+        leave = LEAVE + (7.0 if min((g - place) % 176.0, (place - g) % 176.0) > 4.0 else 0.0)
+        if junk[g][best][0] - leave > ends[g][0]:
+            ends[g] = (junk[g][best][0] - leave, junk[g][best][1], best, 0)
         value, way, context, age = ends[g]
         ones = age // 16
         lead = 31 if ones >= 4 else ((context << ones) | ((1 << ones) - 1)) & 31

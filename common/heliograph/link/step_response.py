@@ -23,6 +23,8 @@ bit before in place of the bit itself), and its likelihood is
 
 d is learned too, once text is followed (a cold start believes no change that it does not see).
 
+The share of lambda that comes from a lit LED's motion is corrected after each character (`heliograph.link.uart_glow`).
+
 A table in place of one kernel that is shifted and added: the real response is not linear (a pixel that has just fired
 is refractory, the read-out saturates), and each polarity's own delay is in the table by itself.
 
@@ -40,6 +42,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heliograph.link.uart_glow import SHAPE, correction, lit_events
 from heliograph.link.uart_layout import CONTEXT_BITS, CONTEXTS
 
 Counts = npt.NDArray[np.int32]
@@ -125,8 +128,8 @@ def _smooth(mean: Table) -> None:
 
 @numba.njit(cache=True, nogil=True)
 def _log_tables(
-    seen: Table, sums: Table, cold: Table, shrink: float, floor: float, f: float, log_rate: Table, rate: Table,
-    total: Table,
+    seen: Table, sums: Table, cold: Table, shrink: float, floor: float, f: float, glow: Table, log_rate: Table,
+    rate: Table, total: Table,
 ) -> None:  # fmt: skip
     """Fill log_rate (2, 16, 32) = ln(lambda) / F, rate (16, 32) = sum_q lambda / F and total (32,) = sum_j rate."""
     contexts, sub = sums.shape[1], sums.shape[2]
@@ -154,7 +157,8 @@ def _log_tables(
         _smooth(mean)
         for c in range(contexts):
             for j in range(sub):
-                value = mean[c, j] + floor
+                lit = c & 1 if j >= CHANGE_AT else (c >> 1) & 1
+                value = max(mean[c, j] + lit * glow[q], 0.0) + floor
                 log_rate[q, j, c] = np.log(value) / f
                 rate[j, c] += value / f
     for c in range(contexts):
@@ -260,6 +264,8 @@ class StepResponse:
         self._residual = self.f * COLD_F_BITS
         self._displaced = self._residual
         self._residual_bits = COLD_F_BITS
+        self._lit = (0, 0)  # events and sub-bins of the last character's lit bits (uart_glow.lit_events)
+        self._glow = np.zeros(2)
         self.refresh()
 
     @property
@@ -304,6 +310,10 @@ class StepResponse:
         self._changes *= FORGET
         self._changes += changes, lost
 
+    def follow_glow(self, counts: Counts, start: int, slots: npt.NDArray[np.int64], word: int, before: int) -> None:
+        """Note how bright a decided word (arguments as in `learn`) was where it was lit; `refresh` uses it."""
+        self._lit = lit_events(counts, start, slots, word, before, SUB_BINS)
+
     def forget(self) -> None:
         """Let what was learned fade by one character."""
         self._seen *= FORGET
@@ -315,9 +325,11 @@ class StepResponse:
     def refresh(self) -> None:
         """Bring the tables up to what has been learned."""
         self.f = min(max(max(self._residual, self._displaced) / self._residual_bits, 1.0), F_MAX)
+        correction(self._seen, self._sums, *self._lit, self.f, SHAPE, self._glow)
         _log_tables(
-            self._seen, self._sums, self._cold, self._shrink, self._floor, self.f, self.log_rate, self.rate, self.total
-        )
+            self._seen, self._sums, self._cold, self._shrink, self._floor, self.f, self._glow,
+            self.log_rate, self.rate, self.total,
+        )  # fmt: skip
         self.rest[:2] = np.log(self._floor) / self.f, 2.0 * self._floor / self.f
         if self.rest[2] != NO_LOSS:
             lost = float(self._changes[1] + LOST_START * LOST_WEIGHT) / float(self._changes[0] + LOST_WEIGHT)

@@ -9,6 +9,9 @@ response. Three ways to go on, each of which waits for exactly the sub-bins that
   first is believed. So an end of the text, a part of a bit of idle time, or an occlusion does not cost the framing.
 * IDLE: while nothing happens, look for a start bit.
 
+Where bits are of no character, the places of the characters before them are kept: a SPAN believes one at another place
+only for more (`uart_paths`), until the LED idles.
+
 Clock: a PI loop on each decided character's offset e (sub-bins, interpolated): p += K_P e, bit += K_I e / 11. Response
 and clock could drift together, so the loop also holds the centre of the learned changes of level where it was.
 """
@@ -118,6 +121,7 @@ class Follower:
         self._level_known = False
         self._reach = REACH
         self._centre = self.response.change_centre()
+        self._frame = np.nan  # a sub-bin at which a character would begin, from the last one; nan after idle time
         self._path = np.empty((SPAN_BITS * SUB_BINS, 2), np.int64)
 
     @property
@@ -199,7 +203,7 @@ class Follower:
         )
 
     def _move(self, position: float, before: int) -> None:
-        self.position = position
+        self.position = self._frame = position
         self._before = before
         self._mode, self._reach, self._after_idle = Mode.NEXT, REACH, False
         self._level_known = True
@@ -227,6 +231,7 @@ class Follower:
 
     def _learn(self, counts: Counts, at: int, word: int, *, good: bool) -> None:
         self.response.count(counts, at, self._slots, word, self._before)
+        self.response.follow_glow(counts, at, self._slots, word, self._before)
         if good:
             self.response.forget()
             self.response.measure(counts, at, self._slots, word, self._before)
@@ -236,7 +241,9 @@ class Follower:
     def _span(self, counts: Counts, base: int) -> Decision | None:
         start, n = round(self.position), SPAN_BITS * SUB_BINS
         response = self.response
-        steps = explain(counts, start - base, n, self._slots, self._before, response.tables, self._path)
+        steps = explain(
+            counts, start - base, n, self._slots, self._before, response.tables, self._path, self._frame - start
+        )
         path = self._path[:steps]
         characters = np.flatnonzero(path[:, 1] >= 0)
         first = int(characters[0]) if len(characters) else steps
@@ -254,7 +261,7 @@ class Follower:
             self._before = ((self._before << ones) | ((1 << ones) - 1)) & IDLE_CONTEXT
         self.position = float(start + at)
         if first == steps and not junk:
-            self._mode = Mode.IDLE
+            self._mode, self._frame = Mode.IDLE, np.nan
         elif first < steps:
             self._mode = Mode.NEXT
         self._after_junk |= junk > 0

@@ -1,7 +1,8 @@
 """How a whole stretch is explained: numba kernels of the text receiver.
 
 A stretch is explained by characters, idle time of any length, and junk (free bits, at a price): the path of highest
-likelihood over sub-bins (dynamic programming). A character may follow another up to 1/8 bit early or late.
+likelihood over sub-bins (dynamic programming). A character may follow another up to 1/8 bit early or late; after junk
+it costs less where the characters before it would have gone on.
 
 Most of the work is the search for characters, and most of what is heard is none. So a character that would end at g is
 looked for only where it could matter: where the sum of its bits' likeliest contexts beats idle time and junk at g. That
@@ -24,7 +25,7 @@ from heliograph.link.uart_words import NOWHERE, SLACK_SIGMA, Slots, bit_row, par
 
 Line = npt.NDArray[np.float64]
 Marks = npt.NDArray[np.int8]
-Explain = Callable[[Counts, int, int, Slots, int, Tables, Slots], int]
+Explain = Callable[[Counts, int, int, Slots, int, float, Tables, Slots], int]
 
 IDLE: Final = -1
 JUNK: Final = -2
@@ -39,6 +40,10 @@ CHAIN_SLACK: Final = 2  # how far off its clock a character may begin, in sub-bi
 # it slip off the bit grid wherever that fits the noise.
 JUNK_BIT: Final = 1.0
 LEAVE_JUNK: Final = 7.0
+# Characters that followed each other at once go on at the same places after a broken one. Another place, one of the 176
+# that a character can begin at, costs that prior, ln(176 / 9) = 3, and the odds of 50 to 1 that none was left out.
+OTHER_PLACE: Final = 7.0
+PLACE_SLACK: Final = 4.0  # how far off its place a character counts as being there: 9 sub-bins
 # Sums in another order differ by less than this (1e6 nats hold 1e-10).
 ROUNDING: Final = 1e-6
 
@@ -245,8 +250,20 @@ def _character_to(
 
 
 @numba.njit(nogil=True)
-def _explain(counts: Counts, start: int, n: int, slots: Slots, before: int, tables: Tables, path: Slots) -> int:
+def _leave(g: int, place: float, length: float) -> float:
+    """Return what it costs to leave junk at g, where characters would begin at place + k length; place may be nan."""
+    if np.isnan(place):
+        return LEAVE_JUNK
+    off = (g - place) % length
+    return LEAVE_JUNK if min(off, length - off) <= PLACE_SLACK else LEAVE_JUNK + OTHER_PLACE
+
+
+@numba.njit(nogil=True)
+def _explain(
+    counts: Counts, start: int, n: int, slots: Slots, before: int, place: float, tables: Tables, path: Slots
+) -> int:
     sub, contexts = tables[1].shape
+    length = slots[-1] * slots.shape[0] / (slots.shape[0] - 1.0)
     rows = _rows(counts, start, n - sub + 1, tables)
     likely = _best_bits(rows)
     value = np.full(n + 1, NOWHERE)  # of the best path on which a character, idle time or junk ends here
@@ -266,7 +283,7 @@ def _explain(counts: Counts, start: int, n: int, slots: Slots, before: int, tabl
         context[0] = before
     for g in range(n + 1):
         best = junk[g].argmax()
-        left, a = junk[g, best] - LEAVE_JUNK, g - 1
+        left, a = junk[g, best] - _leave(g, place, length), g - 1
         idle = NOWHERE
         if g > 0 and value[a] != NOWHERE:
             idle = value[a] + _idle_bin(counts[start + a, 0], counts[start + a, 1], age[a], context[a], tables)
@@ -293,8 +310,10 @@ def _explain(counts: Counts, start: int, n: int, slots: Slots, before: int, tabl
 
 def _entry(sources: int) -> Explain:
     @numba.njit(cache=True, nogil=True)
-    def kernel(counts: Counts, start: int, n: int, slots: Slots, before: int, tables: Tables, path: Slots) -> int:
-        return _explain(counts, start, n, slots, before, tables, path) if sources >= 0 else 0
+    def kernel(
+        counts: Counts, start: int, n: int, slots: Slots, before: int, place: float, tables: Tables, path: Slots
+    ) -> int:
+        return _explain(counts, start, n, slots, before, place, tables, path) if sources >= 0 else 0
 
     return cast("Explain", kernel)
 
@@ -302,7 +321,9 @@ def _entry(sources: int) -> Explain:
 _KERNEL: Final = _entry(stamp(uart_words))
 
 
-def explain(counts: Counts, start: int, n: int, slots: Slots, before: int, tables: Tables, path: Slots) -> int:
+def explain(
+    counts: Counts, start: int, n: int, slots: Slots, before: int, tables: Tables, path: Slots, place: float = np.nan
+) -> int:
     """Explain the sub-bins [start, start + n) by characters, idle time and junk (a chain of free bits).
 
     Args:
@@ -314,8 +335,9 @@ def explain(counts: Counts, start: int, n: int, slots: Slots, before: int, table
         tables: the response (`StepResponse.tables`).
         path: (n, 2) filled with (sub-bin, code or IDLE or JUNK), one entry a character, a sub-bin of idle time or a
             bit of junk, in order of time. A last part of a bit is left out, and a first one if before is -1.
+        place: a sub-bin, from start, at which a character would begin had none been broken; nan where that is unknown.
 
     Returns:
         The number of entries.
     """
-    return int(_KERNEL(counts, start, n, slots, before, tables, path))
+    return int(_KERNEL(counts, start, n, slots, before, place, tables, path))
