@@ -25,6 +25,9 @@ Over random bits, however weak, the mean of L(w) / Z is 1 for each w, so exp A, 
 supermartingale: it ever exceeds W / 1e-10 for one of W words with a chance of at most 1e-10 (Ville's inequality). Of
 clear frames it takes the same four, one lost between them or none: 4 (7.6 - .3) - 1.4 = 27.9 of 26.9 nats.
 
+Equal frames are witnesses one by one against random bits, but not against a light that repeats itself: that makes them
+equal whatever it is. So the edges of a cyclic word must also keep one phase over it (`heliograph.link.one_phase`).
+
 A new payload must do the same to replace the old one, with no frame below SURE; until then its frames count as
 PAYLOAD_CHANGED.
 
@@ -147,6 +150,7 @@ class Acceptance:
         self._heard_us: int | None = None
         self.score = SCORE_START
         self.status: Verdict = "new"
+        self.held_back = False  # whether the newest frame would have made an identity, were its row on the grid
 
     def heard(self, t_us: int) -> None:
         """Note light: the first event, a transition; silence is counted from the newest."""
@@ -157,8 +161,15 @@ class Acceptance:
         """Note a refused frame."""
         self._move(-1)
 
-    def frame(self, frame: LinkFrame, place: Place) -> bool:
-        """Note an accepted frame; return whether its payload differs from the identity's."""
+    def frame(self, frame: LinkFrame, place: Place, *, on_grid: bool = True) -> bool:
+        """Note an accepted frame; return whether its payload differs from the identity's.
+
+        Args:
+            frame: as it was read.
+            place: of it.
+            on_grid: whether the edges of its row keep one phase (`heliograph.link.one_phase`), where that is known.
+        """
+        self.held_back = False
         known = self._identity
         if known is not None and frame.t_us - known.t_us > self._delay_valid_us:
             known = None
@@ -172,6 +183,9 @@ class Acceptance:
             self._support(known, frame)
             return False
         if len(self._row) == self._needed and self._enough(place):
+            if not on_grid:
+                self.held_back = True
+                return known is not None
             frames = [each for each, _ in self._row]
             if known is not None and min(each.score for each in frames) < SURE:
                 return True

@@ -22,13 +22,14 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from heliograph.link import response
+from heliograph.link import one_phase, response
 from heliograph.link.likelihood import BEST, EVIDENCE, MARGIN, SCORE, VERDICT_FIELDS, decide, plain_bits
 from heliograph.link.state import (
     ALIGNED,
     AT,
     EDGE,
     EVENTS,
+    GRID_WORD,
     HARD,
     LAST_END,
     NEXT_ONE,
@@ -37,6 +38,7 @@ from heliograph.link.state import (
     OUT,
     OUT_CODE,
     OUT_END,
+    OUT_GRID,
     OUT_MARGIN,
     OUT_SCORE,
     OUT_SLOT,
@@ -119,6 +121,7 @@ def _align(m: int, state: State) -> bool:
     n = state.words.shape[1]
     r = m % n
     state.ints[ALIGNED] = r
+    state.ints[GRID_WORD] = -1
     state.floats[TRUST] = state.sums[r]
     taught = False
     # A frame that the old position has answered for is not counted again.
@@ -150,13 +153,14 @@ def _dark(m: int, state: State) -> bool:
 
 
 @numba.njit(nogil=True)
-def _record(m: int, code: float, score: float, margin: float, state: State) -> None:
+def _record(m: int, code: float, score: float, margin: float, grid: float, state: State) -> None:
     record = state.out[state.ints[OUT]]
     record[OUT_END] = state.facts[m % RING, AT]
     record[OUT_CODE] = code
     record[OUT_SCORE] = score
     record[OUT_MARGIN] = margin
     record[OUT_SLOT] = m
+    record[OUT_GRID] = grid
     state.ints[OUT] += 1
 
 
@@ -172,9 +176,10 @@ def _settle(m: int, state: State) -> tuple[float, bool]:
     evidence = max(verdict[EVIDENCE], MISS)
     if verdict[SCORE] < ACCEPT:
         code = _reason(m, state)
-        _record(m, code, verdict[SCORE], verdict[MARGIN], state)
+        _record(m, code, verdict[SCORE], verdict[MARGIN], 0.0, state)
         return (0.0 if code == OCCLUSION else evidence), False
-    _record(m, verdict[BEST], verdict[SCORE], verdict[MARGIN], state)
+    grid = one_phase.note(m, int(verdict[BEST]), state)
+    _record(m, verdict[BEST], verdict[SCORE], verdict[MARGIN], grid, state)
     state.floats[LAST_END] = state.facts[m % RING, AT]
     if verdict[SCORE] < LEARN:
         return evidence, False
@@ -226,4 +231,4 @@ def give_up(state: State) -> None:
             for bit in state.words[int(verdict[BEST])]:
                 word = 2 * word + int(bit)
             code = float(HARD - word)
-        _record(end, code, 0.0, 0.0, state)
+        _record(end, code, 0.0, 0.0, 0.0, state)

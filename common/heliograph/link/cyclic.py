@@ -2,8 +2,8 @@
 
 It waits for a clock (`heliograph.link.clock`, at every 16 bits of an absolute grid; a likely one is tried, of a young
 track at every 8 bits and over all that it has shown: `heliograph.link.trial`), then takes the events of that window
-again and goes on with `heliograph.link.demodulator`, so a cold start costs no frame. When the
-clock is lost it waits again. No stage knows anything but the events, the nominal bit rate and the words of the code.
+again and goes on with `heliograph.link.demodulator`, so a cold start costs no frame. When the clock is lost it waits
+again. No stage knows anything but the events, the nominal bit rate and the words of the code.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from heliograph.errors import Refusal, Refusals
 from heliograph.events import Flags, Times
-from heliograph.link import clock, demodulator, level, scan_demodulator, scan_state, scans, state, trial
+from heliograph.link import clock, demodulator, level, one_phase, scan_demodulator, scan_state, scans, state, trial
 from heliograph.link.acceptance import Acceptance, Place, evidence_of, frames_needed
 from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Text, Verdict
 from heliograph.link.cyclic_blocks import ClockBlocks, Peaks
@@ -33,11 +33,7 @@ NEVER_US: Final = 2**60
 # Events held while waiting for a clock: 256 bits at 1 kbit/s hold 4 Mev/s in one region, a flicker of the whole image.
 WINDOW_EVENTS: Final = 1_000_000
 
-_SOFT_REFUSALS: Final = {
-    state.WEAK: Refusal.WEAK,
-    state.OCCLUSION: Refusal.OCCLUSION,
-    state.OFF_GRID: Refusal.OFF_GRID,
-}
+_SOFT_REFUSALS: Final = {state.WEAK: Refusal.WEAK, state.OCCLUSION: Refusal.OCCLUSION, state.OFF_GRID: Refusal.OFF_GRID}
 
 
 class CyclicReceiver:
@@ -57,6 +53,7 @@ class CyclicReceiver:
         if not read_periodic:
             self._refused_payloads |= dict.fromkeys(code.periodic - code.twins.keys(), Refusal.PERIODIC)
         self._known = frozenset(code.words)
+        self._nats = one_phase.needed_of(code)
         self._needed = frames_needed(code)
         self._acceptance = Acceptance(self._needed, code.bits, bit_rate, evidence_of(code))
         self._state = state.new_state(code)
@@ -314,6 +311,7 @@ class CyclicReceiver:
 
     def _locked(self, origin_us: int, start: int) -> bool:
         """Follow from here on; the held events before `start` are dropped."""
+        self._state.floats[state.READ_OUT] = one_phase.read_out(self._held_t[start:] / self._bit_us)
         self._drop(start)
         self._origin_us = origin_us
         self._locks += 1
@@ -372,7 +370,7 @@ class CyclicReceiver:
         acceptance.heard(origin_us + round(heard * self._bit_us))
         records = self._state.out[: ints[state.OUT]].tolist()
         ints[state.OUT] = 0
-        for end, code, score, margin, slot in records:
+        for end, code, score, margin, slot, grid in records:
             end_us = origin_us + round(end * self._bit_us)
             reason = self._reason(int(code))
             self._recent.append((end_us, reason is None))
@@ -383,8 +381,10 @@ class CyclicReceiver:
                 continue
             frame = LinkFrame(end_us, int(code), min(score, 1.0), margin)
             self._frame_end_us = end_us
-            if acceptance.frame(frame, Place(self._locks, int(slot))):
+            if acceptance.frame(frame, Place(self._locks, int(slot)), on_grid=grid >= self._nats[int(code)]):
                 self.refusals[Refusal.PAYLOAD_CHANGED] += 1
+            elif acceptance.held_back:
+                self.refusals[Refusal.OFF_GRID] += 1
             out.append(frame)
 
     def _reason(self, code: int) -> Refusal | None:

@@ -16,7 +16,7 @@ import numba
 import numpy as np
 
 from heliograph.events import Flags
-from heliograph.link import alignment, clock, likelihood, response
+from heliograph.link import alignment, clock, likelihood, one_phase, response
 from heliograph.link import state as state_module
 from heliograph.link.alignment import give_up, place
 from heliograph.link.clock import CLOCK_LIMIT, GAIN_END, GAIN_SLOTS, GAIN_START, SUB, Floats
@@ -30,6 +30,8 @@ from heliograph.link.state import (
     EVENTS,
     HALF,
     JITTER2,
+    MOMENT,
+    NUMBER,
     OUT,
     OUT_FULL,
     OUTSIDE,
@@ -38,6 +40,7 @@ from heliograph.link.state import (
     SEARCHED,
     SILENT,
     SLOT,
+    SQUARE,
     State,
 )
 
@@ -73,6 +76,7 @@ def _close(state: State) -> bool:
     fact[EVENTS] = 0.0
     fact[OUTSIDE] = 0.0
     for p in range(2):
+        fact[NUMBER + p] = here[p].sum()
         for k in range(SUB):
             fact[EVENTS] += here[p, k]
             if not state.core[p, k]:
@@ -83,6 +87,7 @@ def _close(state: State) -> bool:
     floats[BOUNDARY] += floats[PERIOD] + error
     ints[SLOT] += 1
     state.counts[ints[SLOT] % RING] = 0
+    state.facts[ints[SLOT] % RING, MOMENT : SQUARE + 2] = 0.0
     n = state.words.shape[1]
     if ints[SILENT] > SILENT_FRAMES * n or ints[SEARCHED] > SEARCH_FRAMES * n:
         return True
@@ -133,6 +138,8 @@ def _entry(sources: int) -> Callable[[Floats, Flags, float, State], tuple[int, i
                 offset = t[i] - floats[BOUNDARY]
                 k = min(max(int((offset / floats[PERIOD] + 0.5) * SUB), 0), SUB - 1)
                 state.counts[ints[SLOT] % RING, p, k] += 1
+                state.facts[ints[SLOT] % RING, MOMENT + p] += offset
+                state.facts[ints[SLOT] % RING, SQUARE + p] += offset * offset
                 i += 1
             if i == n and until < close:
                 return DONE, i
@@ -145,7 +152,7 @@ def _entry(sources: int) -> Callable[[Floats, Flags, float, State], tuple[int, i
     return cast("Callable[[Floats, Flags, float, State], tuple[int, int]]", kernel)
 
 
-_KERNEL: Final = _entry(stamp(alignment, clock, likelihood, response, state_module))
+_KERNEL: Final = _entry(stamp(alignment, clock, likelihood, one_phase, response, state_module))
 
 
 def advance(t: Floats, on: Flags, until: float, state: State) -> tuple[int, int]:

@@ -29,7 +29,17 @@ import numba
 import numpy as np
 
 from heliograph.events import Flags
-from heliograph.link import alignment, clock, demodulator, likelihood, response, scan_response, scan_state, scans
+from heliograph.link import (
+    alignment,
+    clock,
+    demodulator,
+    likelihood,
+    one_phase,
+    response,
+    scan_response,
+    scan_state,
+    scans,
+)
 from heliograph.link import state as state_module
 from heliograph.link.alignment import LEARN, give_up, place
 from heliograph.link.clock import CLOCK_LIMIT, GAIN_SLOTS, SUB, Floats
@@ -171,6 +181,7 @@ def _close(state: State, scanned: ScanState) -> bool:
     ints[SLOT] += 1
     scanned.n[(at + 1) % RING] = 0
     scanned.turned[(at + 1) % RING] = 0.0
+    one_phase.clear(state.facts[(at + 1) % RING])
     n = state.words.shape[1]
     if ints[SILENT] > SILENT_FRAMES * n or ints[SEARCHED] > SEARCH_FRAMES * n:
         return True
@@ -202,6 +213,7 @@ def _take(t: float, off: float, on: float, state: State, scanned: ScanState) -> 
         scanned.scans[at, n, 0], scanned.scans[at, n, 1], scanned.scans[at, n, 2] = k, off, on
         scanned.n[at] += 1
     if off + on > 0.0:
+        one_phase.take(t - boundary, off, on, state.facts[at])
         way = scans.turn(t, on - off, scanned.turn)
         if way != 0:
             scanned.turned[at, 0], scanned.turned[at, 1] = way, t - boundary
@@ -254,7 +266,7 @@ def _entry(sources: int) -> Callable[[Floats, Flags, float, State, ScanState], t
 
 _KERNEL: Final = _entry(
     stamp(
-        alignment, clock, demodulator, likelihood, response, scan_response, scan_state, scans, state_module,
+        alignment, clock, demodulator, likelihood, one_phase, response, scan_response, scan_state, scans, state_module,
     )
 )  # fmt: skip
 

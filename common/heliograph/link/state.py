@@ -29,7 +29,8 @@ JITTER2: Final = 3  # mean square of the timing error e
 LAST_END: Final = 4  # end of the last published frame
 TRUST: Final = 5  # A of the aligned position
 NEXT_ONE: Final = 6  # how likely the bit after a frame is a one
-FLOATS: Final = 7
+READ_OUT: Final = 7  # length of the sensor's scans, 0 where its events are none
+FLOATS: Final = 8
 
 # Places in `ints`.
 SLOT: Final = 0  # slots closed since the lock
@@ -39,14 +40,19 @@ SILENT: Final = 3  # slots since the last transition
 OUT: Final = 4  # records in `out`
 EDGES: Final = 5  # transitions since the lock
 RUN: Final = 6  # longest legal run
-INTS: Final = 7
+GRID_WORD: Final = 7  # the word whose frames `grid` sums, or -1
+GRID_FRAMES: Final = 8
+INTS: Final = 9
 
 # Columns of `facts`.
 AT: Final = 0  # the boundary b_m
 EDGE: Final = 1  # probability of a transition
 EVENTS: Final = 2
 OUTSIDE: Final = 3  # events where no transition's are expected
-FACTS: Final = 4
+NUMBER: Final = 4  # events over the background, OFF and then ON
+MOMENT: Final = 6  # the sum of how far those lie behind the boundary, OFF and then ON
+SQUARE: Final = 8  # and of its square
+FACTS: Final = 10
 
 # Columns of a record in `out`.
 OUT_END: Final = 0  # end of the frame
@@ -54,7 +60,8 @@ OUT_CODE: Final = 1  # payload, or why it was refused
 OUT_SCORE: Final = 2
 OUT_MARGIN: Final = 3
 OUT_SLOT: Final = 4  # the slot at its end, counted from the lock
-OUT_FIELDS: Final = 5
+OUT_GRID: Final = 5  # what its row's grid bears witness of (`heliograph.link.one_phase`)
+OUT_FIELDS: Final = 6
 # One slot publishes at most RING / 4 frames at once; the kernel returns to be emptied from OUT_FULL on.
 OUT_ROOM: Final = 256
 OUT_FULL: Final = 128
@@ -77,6 +84,8 @@ class State(NamedTuple):
         facts: (RING, FACTS).
         counts: (RING, 2, SUB) events of the slots, by polarity (OFF, ON) and sub-bin.
         sums: (n,) A_r of the search (`heliograph.link.alignment`).
+        grid: (n, 2, 3) number, moment and square of the events at each boundary of the word, OFF and ON
+            (`heliograph.link.one_phase`).
         model: (4, 2, SUB) rates (`heliograph.link.response`).
         seen: (4,) slots learned of each kind.
         logs: (4, 2, SUB), total: (4,), core and share: (2, SUB), figures: what `response.tabulate` makes of the model.
@@ -90,6 +99,7 @@ class State(NamedTuple):
     facts: Floats
     counts: npt.NDArray[np.int32]
     sums: Floats
+    grid: Floats
     model: Floats
     seen: Ints
     logs: Floats
@@ -116,6 +126,7 @@ def new_state(code: CyclicCode) -> State:
         facts=np.zeros((RING, FACTS)),
         counts=np.zeros((RING, 2, SUB), np.int32),
         sums=np.zeros(code.bits),
+        grid=np.zeros((code.bits, 2, 3)),
         model=np.zeros((4, 2, SUB)),
         seen=np.zeros(4, np.int64),
         logs=np.zeros((4, 2, SUB)),
@@ -139,9 +150,10 @@ def start(state: State, folded: Floats | None, found: Floats, last_end: float, c
     """
     start_code, start_bits = code.start
     next_one = NEXT if start_bits and start_code >> (start_bits - 1) else 0.5
-    state.floats[:] = (found[0], found[1], found[2], 0.0, last_end, 0.0, next_one)
+    state.floats[:] = (found[0], found[1], found[2], 0.0, last_end, 0.0, next_one, 0.0)
     state.ints[:] = 0
     state.ints[ALIGNED] = -1
+    state.ints[GRID_WORD] = -1
     state.ints[RUN] = code.longest_run
     state.ring[:] = 1.0
     state.facts[:] = 0.0
