@@ -22,7 +22,7 @@ from heliograph.core import Context
 from heliograph.errors import Refusal, Refusals
 from heliograph.link.contract import LinkFrame
 from heliograph.link.modulations import modulation
-from heliograph.messages import Message, Tracks
+from heliograph.messages import Message, StatusWord, Tracks
 from heliograph.streams import Events
 from heliograph_services.decoder.config import AUTO, DecoderConfig
 from heliograph_services.decoder.following import Following
@@ -30,10 +30,11 @@ from heliograph_services.decoder.identities import Identities
 from heliograph_services.decoder.link_plan import LinkPlan, ModulationOf
 from heliograph_services.decoder.links import Decided
 from heliograph_services.decoder.measuring import Measure
-from heliograph_services.decoder.publish import BearingOf, FrameRow, Publisher, StatusRow
+from heliograph_services.decoder.publish import BearingOf, FrameRow, Publisher
 from heliograph_services.decoder.schedule import Schedule
 from heliograph_services.decoder.stream import EventStream, Window, fault
-from heliograph_services.decoder.tracks import SILENCE_US, Track, finite
+from heliograph_services.decoder.telling import SILENCE_US, finite
+from heliograph_services.decoder.tracks import Track
 
 SECOND_US: Final = 1_000_000
 
@@ -200,6 +201,8 @@ class DecoderCore:
             track = following.tracks[i]
             decided = track.links.feed(*following.feeding.take(i), window.t1_us)
             following.feeding.fed(i, window.t1_us, track.links.due_us())
+            if track.links.winner is not None:
+                following.feeding.spoke(i)
             if decided:
                 rows += self._collected(following, i, decided)
             self._note_refusals(track)
@@ -207,6 +210,8 @@ class DecoderCore:
         if window.last:
             for i, track in enumerate(following.tracks):
                 rows += self._collected(following, i, track.links.flush(window.t1_us))
+                if track.links.winner is not None:
+                    following.feeding.spoke(i)
                 self._note_refusals(track)
         if rows or self._refused:
             refused, self._refused = self._refused, Refusals()
@@ -261,8 +266,10 @@ class DecoderCore:
         # What a track has said so far, it has said under its old name.
         out += self._identities.renamed(before, following, applied, now_us)
         first = len(following.tracks) - len(applied.begun)
-        for i, (_, decided) in enumerate(applied.begun):
-            self._early += self._collected(following, first + i, decided)
+        for i, (track, decided) in enumerate(applied.begun, first):
+            self._early += self._collected(following, i, decided)
+            if track.links.winner is not None:
+                following.feeding.spoke(i)
         self.counters["tracks_adopted"] += len(applied.renamed)
         self.counters["tracks_begun"] += len(applied.begun)
         self.counters["tracks_dropped"] += applied.dropped
@@ -313,14 +320,19 @@ class DecoderCore:
         if last or now_us % SECOND_US == 0:
             out += self._quality(following, now_us)
         if last or now_us % self._config.tracker_period_us == 0:
-            rows = [self._status(track, now_us) for track in following.tracks]
-            out.append(self._publisher.status(rows, now_us))
+            out.append(self._status(following, now_us))
         return out
 
-    def _status(self, track: Track, now_us: int) -> StatusRow:
-        held = track.held
-        token = self._plan.token(held.link, held.identity.payload) if held is not None else None
-        return StatusRow(track.name, track.links.verdict(now_us), track.frame_us, token)
+    def _status(self, following: Following, now_us: int) -> Message:
+        words: list[StatusWord] = ["new"] * len(following.tracks)  # of what has never heard anything
+        frames_us = [-1] * len(words)
+        tokens: list[str | None] = [None] * len(words)
+        for i in following.feeding.awoken():
+            track = following.tracks[i]
+            words[i], frames_us[i] = track.links.verdict(now_us), track.frame_us
+            if track.held is not None:
+                tokens[i] = self._plan.token(track.held.link, track.held.identity.payload)
+        return self._publisher.status([track.name for track in following.tracks], words, frames_us, tokens, now_us)
 
     def _quality(self, following: Following, now_us: int) -> list[Message]:
         out: list[Message] = []

@@ -72,6 +72,7 @@ class Feeding:
         self._heard_us: Ints = np.zeros(capacity, np.int64)  # end of the last window in which it heard something
         self._fed_us: Ints = np.zeros(capacity, np.int64)
         self._frame_us: Ints = np.zeros(capacity, np.int64)  # end of the last frame
+        self._spoken: Flags = np.zeros(capacity, np.bool_)  # it has had an identity
 
     def keep(self, kept: list[int]) -> None:
         """Keep these tracks alone, in this order."""
@@ -79,7 +80,7 @@ class Feeding:
             return
         self._drain()
         m = len(kept)
-        for row in (self._due_us, self._heard_us, self._fed_us, self._frame_us):
+        for row in (self._due_us, self._heard_us, self._fed_us, self._frame_us, self._spoken):
             row[:m] = row[kept]
         self._left = [self._left[i] for i in kept]
         self.n = m
@@ -94,6 +95,20 @@ class Feeding:
         """Note when the last frame of track i ended."""
         self._frame_us[i] = frame_us
 
+    def spoke(self, i: int) -> None:
+        """Note that track i has an identity."""
+        self._spoken[i] = True
+
+    def spoken(self) -> list[int]:
+        """Return the tracks that have an identity, or had one."""
+        found: list[int] = self._spoken[: self.n].nonzero()[0].tolist()
+        return found
+
+    def awoken(self) -> list[int]:
+        """Return the tracks that have ever heard anything."""
+        found: list[int] = (self._heard_us[: self.n] != NEVER).nonzero()[0].tolist()
+        return found
+
     def append(self, now_us: int, heard: list[bool], due_us: list[int]) -> None:
         """Add tracks that have been fed up to now_us: whether each has heard something so far, and when it is due."""
         k = len(heard)
@@ -101,6 +116,7 @@ class Feeding:
         self._due_us[self.n : self.n + k] = due_us
         self._fed_us[self.n : self.n + k] = now_us
         self._frame_us[self.n : self.n + k] = -1
+        self._spoken[self.n : self.n + k] = False
         # The windows before know nothing of it.
         self._drain()
         self._left += [None] * k

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from heliograph.events import EventBatch
+from heliograph.events import EventBatch, Flags
 from heliograph.messages import Tracks
 from heliograph_services.decoder.backlog import Backlog
 from heliograph_services.decoder.config import DecoderConfig
@@ -15,8 +15,10 @@ from heliograph_services.decoder.feeding import Feeding, beat_us
 from heliograph_services.decoder.history import History
 from heliograph_services.decoder.link_plan import LinkPlan
 from heliograph_services.decoder.links import CONTEST_US, Decided, TrackLinks
-from heliograph_services.decoder.regions import Doubt, Place, Regions, column, doubt
-from heliograph_services.decoder.tracks import Plan, Told, Track, plan_of, told_by
+from heliograph_services.decoder.region_state import REACH, VX, VY, Floats, Ints, X, Y
+from heliograph_services.decoder.regions import Doubt, Place, Regions, doubt
+from heliograph_services.decoder.telling import Telling, telling_of
+from heliograph_services.decoder.tracks import Plan, Track, away_px, plan_of
 
 # A frame is published at most a contest and some frames of 220 ms (11 bits at 50 bit/s) after its end.
 HISTORY_US: Final = CONTEST_US + 1_000_000
@@ -112,77 +114,78 @@ class Following:
         self.history.keep(kept)
         self.feeding.keep(kept)
 
+    def all_at(self, t_us: int) -> Floats:
+        """Return where all tracks were, or will be, at t_us: x, y, vx, vy, reach, (5, n)."""
+        known = self.history.all_at(t_us)
+        if known is None:
+            return self.regions.places(t_us - self.regions.now_us)
+        places = self.regions.places()
+        places[:REACH] = known
+        return places
+
     def apply(self, message: Tracks, now_us: int) -> Applied:
         """Let a Tracks message take effect at now_us, the regions' instant."""
         config = self._config
-        told, left_out = told_by(message, {track.name for track in self.tracks}, config)
-        then = [self.at(i, message.as_of_us) for i in range(len(self.tracks))]
-        plan = plan_of(self.tracks, then, told, now_us)
-        index = {track.serial: i for i, track in enumerate(self.tracks)}
-        ended = [(track, self.regions.place(index[track.serial])) for track in plan.end]
-        renamed = self._go_on(plan, then, message.as_of_us, now_us)
-        self.end(plan.end)
-        room = config.max_tracks - len(self.tracks)
-        new = plan.new[:room]
-        heard = [
-            at
-            for track, at in ((track, self.at(i, message.as_of_us)) for i, track in enumerate(self.tracks))
-            if track.reading(now_us)
-        ]
-        begun = self._begin([_not_twice(row, heard, now_us) for row in new], message.as_of_us, now_us) if new else []
+        told, left_out = telling_of(message, {track.name for track in self.tracks}, config)
+        then = self.all_at(message.as_of_us)
+        reading = self.feeding.reading(now_us)
+        plan = plan_of(self.tracks, then, told, reading)
+        ended = [(self.tracks[i], self.regions.place(i)) for i in plan.end]
+        renamed = self._go_on(plan, told, then, reading, message.as_of_us, now_us)
+        self.end([track for track, _ in ended])
+        new = plan.new[: config.max_tracks - len(self.tracks)]
+        begun = self._begin(told, new, message.as_of_us, now_us) if new else []
         return Applied(renamed, ended, begun, left_out + len(plan.new) - len(new))
 
-    def _go_on(self, plan: Plan, then: list[Place], as_of_us: int, now_us: int) -> list[tuple[Track, str]]:
+    def _go_on(
+        self, plan: Plan, told: Telling, then: Floats, reading: Flags, as_of_us: int, now_us: int
+    ) -> list[tuple[Track, str]]:
         """Let the regions that go on heed what is told of them; return the tracks with a new name."""
-        told_of: dict[int, Told] = {track.serial: row for track, row in (*plan.update, *plan.adopt)}
-        centred_us = self.regions.centred_us()
+        has_row = plan.rows >= 0
+        for track, is_told in zip(self.tracks, has_row.tolist(), strict=True):
+            track.told = is_told
+        which = np.flatnonzero(has_row)
+        rows = plan.rows[which]
         share = self._news(as_of_us)
-        astray: list[tuple[int, Told]] = []
-        for i, track in enumerate(self.tracks):
-            row = told_of.get(track.serial)
-            track.told = row is not None
-            if row is None:
-                continue
-            self.regions.resize(i, row.place.reach_px, row.radius_px)
-            blind = now_us - int(centred_us[i]) > BLIND_US
-            reads = track.reading(now_us) and not blind
-            if then[i].away_px(row.place) <= min(then[i].reach_px, row.place.reach_px):
-                self._heed(i, row, then[i], now_us - as_of_us, share, reads=reads)
-            elif not reads:
-                astray.append((i, replace(row, doubt=self._told_doubt(i, row))))
-        self._relocate(astray, as_of_us, now_us)
-        renamed = [(track, track.name) for track, _ in plan.adopt]
-        for track, row in plan.adopt:
-            track.name = row.name
+        if len(which):
+            places, reach_px = told.places[:, rows], then[REACH, which]
+            self.regions.resize(which, places[REACH], told.radius_px[rows])
+            blind = now_us - self.regions.centred_us()[which] > BLIND_US
+            reads = reading[which] & ~blind
+            near = away_px(then[:, which], places) <= np.minimum(reach_px, places[REACH])
+            sure = self._told_doubt(which, told, rows)
+            heeding = sure.of(near).after(now_us - as_of_us, self.regions.drive(which[near]))
+            self._heed(which[near], places[:, near] - then[:, which[near]], heeding, share, reads[near])
+            astray = np.flatnonzero(~near & ~reads).tolist()
+            states = [told.column(int(rows[k]), sure.of(k)) for k in astray]
+            self._relocate(which[astray].tolist(), states, as_of_us, now_us)
+        renamed = [(self.tracks[i], self.tracks[i].name) for i in plan.adopt]
+        for i in plan.adopt:
+            self.tracks[i].name = told.names[int(plan.rows[i])]
         return renamed
 
-    def _heed(self, i: int, row: Told, then: Place, elapsed_us: int, share: float, *, reads: bool) -> None:
-        """Correct region i by what is told of a place near where it was then.
+    def _heed(self, which: Ints, off: Floats, told: Doubt, share: float, reads: Flags) -> None:
+        """Correct regions by what is told of places near where they were then.
 
         Args:
-            i: which region.
-            row: what is told.
-            then: where it was at the row's instant.
-            elapsed_us: since then.
+            which: (k,) regions.
+            off: (4 or more, k) what is told less where they were: x, y, vx, vy.
+            told: how sure that is by now, (k,) each.
             share: of what a message says, how much is new (`_news`).
-            reads: whether the region's own events are being read.
+            reads: (k,) whether the region's own events are being read.
         """
-        own, told = self.regions.doubt(i), self._told_doubt(i, row).after(elapsed_us, self.regions.drive(i))
-        least = 0.0 if reads or not self._config.self_centring else LEAST_WEIGHT
+        own = self.regions.doubt(which)
+        least = np.where(reads, 0.0, LEAST_WEIGHT) if self._config.self_centring else np.zeros(len(which))
         (w, xx), (wv, vv) = (_heeded(a, b, share, least) for a, b in ((own.xx, told.xx), (own.vv, told.vv)))
-        dv = (row.place.vx_px_s - then.vx_px_s, row.place.vy_px_s - then.vy_px_s)
-        d = (row.place.x_px - then.x_px, row.place.y_px - then.y_px)
-        self.regions.shift(
-            i,
-            (w * d[0], w * d[1]),
-            (wv * dv[0], wv * dv[1]),
-            doubt(xx, (1 - max(w, wv)) * own.xv, vv),
-        )
+        sure = doubt(xx, (1 - np.maximum(w, wv)) * own.xv, vv)
+        self.regions.shift(which, w * off[X : Y + 1], wv * off[VX : VY + 1], sure)
 
-    def _told_doubt(self, i: int, row: Told) -> Doubt:
-        """Return how sure a row is, at its instant: of what is not seen, no surer than region i's own motion allows."""
-        unseen = Doubt(0.0, 0.0, 0.0).after(row.unseen_us, self.regions.drive(i))
-        return doubt(row.doubt.xx + unseen.xx, row.doubt.xv + unseen.xv, row.doubt.vv + unseen.vv)
+    def _told_doubt(self, which: Ints, told: Telling, rows: Ints) -> Doubt:
+        """Return how sure rows, (k,), are: of what is not seen, no surer than the regions' own motion allows."""
+        none = np.zeros(len(rows))
+        unseen = Doubt(none, none, none).after(told.unseen_us[rows], self.regions.drive(which))
+        sure = told.doubt.of(rows)
+        return doubt(sure.xx + unseen.xx, sure.xv + unseen.xv, sure.vv + unseen.vv)
 
     def _news(self, as_of_us: int) -> float:
         """Return how much of a message is new since the one before, and note it: 1 at AGAIN_US apart and more."""
@@ -190,25 +193,28 @@ class Following:
         self._as_of_us = as_of_us
         return min(max(since_us, 0), AGAIN_US) / AGAIN_US
 
-    def _relocate(self, astray: list[tuple[int, Told]], as_of_us: int, now_us: int) -> None:
+    def _relocate(self, astray: list[int], states: list[Floats], as_of_us: int, now_us: int) -> None:
         """Let regions that have lost their targets catch up with them from where the tracker saw them."""
         if not astray:
             return
-        states = np.stack([column(row.place, row.radius_px, row.doubt) for _, row in astray], axis=1)
         self._spare.noise_per_px_us = self.regions.noise_per_px_us
-        self.backlog.catch_up(self._spare, states, as_of_us, now_us)
+        self.backlog.catch_up(self._spare, np.stack(states, axis=1), as_of_us, now_us)
         found, centred_us = self._spare.states(), self._spare.centred_us()
-        for k, (i, _) in enumerate(astray):
+        for k, i in enumerate(astray):
             self.regions.put(i, found[:, k], int(centred_us[k]))
         self.relocated += len(astray)
 
-    def _begin(self, new: list[Told], as_of_us: int, now_us: int) -> list[tuple[Track, list[Decided]]]:
-        """Begin new tracks with what the backlog holds of them."""
-        states = np.stack([column(row.place, row.radius_px, row.doubt) for row in new], axis=1)
+    def _begin(
+        self, told: Telling, rows: list[int], as_of_us: int, now_us: int
+    ) -> list[tuple[Track, list[Decided]]]:
+        """Begin new tracks, of these rows, with what the backlog holds of them."""
+        read = self.all_at(as_of_us)[:, self.feeding.reading(now_us)]
+        born_us = [now_us if _is_near(told.places[:, row], read) else int(told.born_us[row]) for row in rows]
+        states = np.stack([told.column(row) for row in rows], axis=1)
         self._spare.noise_per_px_us = self.regions.noise_per_px_us
-        heard = self.backlog.replay(self._spare, states, [row.born_us for row in new], as_of_us, now_us)
-        begun = [Track(self._serial + k, row.name, TrackLinks(self._plan)) for k, row in enumerate(new)]
-        self._serial += len(new)
+        heard = self.backlog.replay(self._spare, states, born_us, as_of_us, now_us)
+        begun = [Track(self._serial + k, told.names[row], TrackLinks(self._plan)) for k, row in enumerate(rows)]
+        self._serial += len(rows)
         self.tracks += begun
         self.regions.append(self._spare.states(), self._spare.centred_us())
         for one in heard:
@@ -221,18 +227,17 @@ class Following:
         return fed
 
 
-def _not_twice(row: Told, heard: list[Place], now_us: int) -> Told:
-    """Return a new track's row; what lies on the spot of one that is being read does not read its past once more."""
-    near = any(row.place.away_px(at) <= 0.5 * min(row.place.reach_px, at.reach_px) for at in heard)
-    return replace(row, born_us=now_us) if near else row
+def _is_near(place: Floats, read: Floats) -> bool:
+    """Return whether a new track lies on the spot of one that is being read: it does not read its past once more."""
+    return bool((away_px(read, place) <= 0.5 * np.minimum(read[REACH], place[REACH])).any())
 
 
-def _heeded(own: float, told: float, share: float, least: float) -> tuple[float, float]:
-    """Return how far a region goes to what is told, and the variance that is left.
+def _heeded(own: Floats, told: Floats, share: float, least: Floats) -> tuple[Floats, Floats]:
+    """Return how far regions go to what is told, and the variance that is left.
 
     w = own / (own + told) of the two variances, at least `least`; but only a share of what is told is new, so that what
     is said again and again moves the region, and does not make it surer, than the tracker itself is at most.
     """
-    w = max(least * share, own / max(own + told, 1e-12))
-    fresh = max(least * share, own * share / max(own * share + told, 1e-12))
-    return w, min((1.0 - fresh) * own, max(told, (1.0 - w) * own))
+    w = np.maximum(least * share, own / np.maximum(own + told, 1e-12))
+    fresh = np.maximum(least * share, own * share / np.maximum(own * share + told, 1e-12))
+    return w, np.minimum((1.0 - fresh) * own, np.maximum(told, (1.0 - w) * own))

@@ -75,7 +75,7 @@ class History:
             return None
         k = bisect_left(times, t_us)
         x_px, y_px, vx_px_s, vy_px_s = self._motion[k, :, i].tolist()
-        if k > 0:
+        if k > 0 and times[k] != t_us:
             x0_px, y0_px, vx0_px_s, vy0_px_s = self._motion[k - 1, :, i].tolist()
             share = (times[k] - t_us) / (times[k] - times[k - 1])
             x_px += share * (x0_px - x_px)
@@ -83,3 +83,15 @@ class History:
             vx_px_s += share * (vx0_px_s - vx_px_s)
             vy_px_s += share * (vy0_px_s - vy_px_s)
         return x_px, y_px, vx_px_s, vy_px_s
+
+    def all_at(self, t_us: int) -> Floats | None:
+        """Return x, y, vx, vy of all tracks then, (4, n), as `at` does."""
+        times = self._t_us
+        if not times or t_us > times[-1]:
+            return None
+        k = bisect_left(times, t_us)
+        motion: Floats = self._motion[k, :, : self._tracks].copy()
+        if k > 0 and times[k] != t_us:
+            share = (times[k] - t_us) / (times[k] - times[k - 1])
+            motion += share * (self._motion[k - 1, :, : self._tracks] - motion)
+        return motion

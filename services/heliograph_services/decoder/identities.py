@@ -25,8 +25,6 @@ from __future__ import annotations
 
 from typing import Final
 
-import numpy as np
-
 from heliograph.link.contract import Text
 from heliograph.messages import Change, Identification, Message
 from heliograph_services.decoder.duplicates import Duplicates
@@ -64,9 +62,10 @@ class Identities:
     def decide(self, following: Following, now_us: int) -> list[Message]:
         """Return what tracks have accepted, changed or lost up to now_us."""
         out: list[Message] = []
-        found = [None if track.links.winner is None else track.links.accepted(now_us) for track in following.tracks]
+        found = {i: following.tracks[i].links.accepted(now_us) for i in following.feeding.spoken()}
         withheld = self._withheld(following, found, now_us)
-        for i, (track, one) in enumerate(zip(following.tracks, found, strict=True)):
+        for i, one in found.items():
+            track = following.tracks[i]
             if one is not None and i in withheld:
                 track.withheld_us = max(track.withheld_us, one.identity.t_us)
                 self.withheld += track.held is not None
@@ -94,12 +93,12 @@ class Identities:
             return False
         return True
 
-    def _withheld(self, following: Following, found: list[Accepted | None], now_us: int) -> set[int]:
+    def _withheld(self, following: Following, found: dict[int, Accepted | None], now_us: int) -> set[int]:
         """Return the tracks that may not be published as what they have read."""
         centred_us = following.regions.centred_us()
         out: set[int] = set()
         alike: dict[tuple[int, int], list[int]] = {}
-        for i, one in enumerate(found):
+        for i, one in found.items():
             if one is not None and now_us - int(centred_us[i]) > BLIND_US:
                 unread = now_us - one.identity.t_us > max(BLIND_US, self._plan.frames_us(one.link, STALE_FRAMES))
                 if _adrift(following, i, unread=unread):
@@ -111,7 +110,9 @@ class Identities:
                 out |= self._doubles(following, found, group, link)
         return out
 
-    def _doubles(self, following: Following, found: list[Accepted | None], group: list[int], link: int) -> set[int]:
+    def _doubles(
+        self, following: Following, found: dict[int, Accepted | None], group: list[int], link: int
+    ) -> set[int]:
         """Return those of a group, all of one payload, that another one has left behind, or on whose spot it is."""
         held = {i: one.identity for i in group if (one := found[i]) is not None}
         stale_us = max(one.t_us for one in held.values()) - self._plan.frames_us(link, STALE_FRAMES)
@@ -163,7 +164,8 @@ class Identities:
         self.unsure += len(held) - len(sure)
         duplicates = self.duplicates.look(following, sure)
         for track in following.tracks:
-            out += self.texts(track)
+            if track.texts:
+                out += self.texts(track)
         for i in sure:
             track = following.tracks[i]
             names = duplicates.get(track.serial, [])
@@ -249,7 +251,7 @@ def _off_px(following: Following, i: int) -> float:
 def _is_lost(following: Following, i: int) -> bool:
     """Return whether the doubt of region i is beyond what it can hear."""
     reach_px = following.regions.place(i).reach_px
-    return SIGMAS * float(np.sqrt(following.regions.doubt(i).xx)) > reach_px + GROW_LIMIT_PX
+    return SIGMAS * following.regions.doubt_px(i) > reach_px + GROW_LIMIT_PX
 
 
 def _same(one: Accepted, other: Accepted) -> bool:

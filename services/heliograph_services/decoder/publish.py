@@ -39,16 +39,6 @@ def nats(value: float) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class StatusRow:
-    """What there is to say of a track: name, word, end of the last frame or -1, token of its identity."""
-
-    track: str
-    word: StatusWord
-    frame_us: int
-    identity: str | None
-
-
-@dataclass(frozen=True, slots=True)
 class FrameRow:
     """A frame of a track, ready to be published."""
 
@@ -186,15 +176,22 @@ class Publisher:
             mar_estimate=None if quality.mar_estimate is None else share(quality.mar_estimate),
         )
 
-    def status(self, rows: list[StatusRow], as_of_us: int) -> Status:
-        """Return the statuses of all tracks."""
+    def status(
+        self,
+        tracks: list[str],
+        words: list[StatusWord],
+        frames_us: list[int],
+        identities: list[str | None],
+        as_of_us: int,
+    ) -> Status:
+        """Return the statuses of all tracks: name, word, end of the last frame or -1, token of its identity."""
         return Status(
             camera=self._camera,
             as_of_us=as_of_us,
-            track=[row.track for row in rows],
-            status=[row.word for row in rows],
-            accepted_us=[row.frame_us for row in rows],
-            identity=[row.identity for row in rows],
+            track=tracks,
+            status=words,
+            accepted_us=frames_us,
+            identity=identities,
         )
 
 

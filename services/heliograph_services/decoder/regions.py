@@ -11,6 +11,7 @@ so a region that follows its events well hardly heeds a late tracker, and one th
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -32,11 +33,11 @@ from heliograph_services.decoder.region_state import (
     RANK,
     REACH,
     ROWS,
-    SPEED_LIMIT_PX_S,
     US_PER_S,
     VX,
     VY,
     Floats,
+    Ints,
     Q,
     X,
     Y,
@@ -81,43 +82,37 @@ class Place:
         return float(np.hypot(self.x_px - other.x_px, self.y_px - other.y_px))
 
 
-def place(x_px: float, y_px: float, vx_px_s: float, vy_px_s: float, reach_px: float) -> Place:
-    """Return a place with every number brought into what a sensor can show; what is absurd ends up off the sensor."""
-    return Place(
-        _within(x_px, PLACE_LIMIT_PX),
-        _within(y_px, PLACE_LIMIT_PX),
-        _within(vx_px_s, SPEED_LIMIT_PX_S),
-        _within(vy_px_s, SPEED_LIMIT_PX_S),
-        reach_px,
-    )
-
-
 def _within(value: float, limit: float) -> float:
     # What is no number at all is off the sensor too.
     return min(value, limit) if value > -limit else -limit
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Doubt:
-    """How sure a place is, on each axis: P_xx (px2), P_xv (px2/s), P_vv (px2/s2); a covariance."""
+    """How sure places are, on each axis: P_xx (px2), P_xv (px2/s), P_vv (px2/s2); a covariance, or (k,) of each."""
 
-    xx: float
-    xv: float
-    vv: float
+    xx: Floats
+    xv: Floats
+    vv: Floats
 
-    def after(self, us: int, drive: float) -> Doubt:
+    def of(self, which: Ints | Flags | int) -> Doubt:
+        """Return that of some of the places."""
+        return Doubt(self.xx[which], self.xv[which], self.vv[which])
+
+    def after(self, us: Ints | int, drive: Floats) -> Doubt:
         """Return what is left of it so many microseconds later, with an acceleration of intensity q = drive."""
         s = us / US_PER_S
-        q = drive * abs(s)
+        q = drive * np.abs(s)
         xx = self.xx + s * (2.0 * self.xv + s * self.vv) + q * s * s / 3.0
         return doubt(xx, self.xv + s * self.vv + q * s / 2.0, self.vv + q)
 
 
-def doubt(xx: float, xv: float, vv: float) -> Doubt:
+def doubt(xx: Floats, xv: Floats, vv: Floats) -> Doubt:
     """Return a doubt with every number brought into what a covariance can be."""
-    xx = _within(max(xx, 0.0), P_XX_LIMIT)
-    vv = _within(max(vv, 0.0), P_VV_LIMIT)
-    return Doubt(xx, _within(xv, float(np.sqrt(xx * vv))), vv)
+    xx = np.clip(xx, 0.0, P_XX_LIMIT)
+    vv = np.clip(vv, 0.0, P_VV_LIMIT)
+    most = np.sqrt(xx * vv)
+    return Doubt(xx, np.clip(xv, -most, most), vv)
 
 
 def column(at: Place, radius_px: float, sure: Doubt) -> Floats:
@@ -133,7 +128,7 @@ def column(at: Place, radius_px: float, sure: Doubt) -> Floats:
 class Routed:
     """The events of a window by track: those of track i are [starts[i], starts[i + 1]); `outside` fell into none."""
 
-    starts: region_state.Ints
+    starts: Ints
     t_us: Times
     on: Flags
     depth: region_state.Depths
@@ -187,7 +182,7 @@ class Regions:
         self.now_us = now_us
         self._outside = self._outside_us = 0
 
-    def load(self, states: Floats, centred_us: region_state.Ints, now_us: int) -> None:
+    def load(self, states: Floats, centred_us: Ints, now_us: int) -> None:
         """Replace all regions by these: states (ROWS, k) as of now_us."""
         self.restart(now_us)
         self.append(states, centred_us)
@@ -205,7 +200,7 @@ class Regions:
         self._forget(m, self.n)
         self.n = m
 
-    def append(self, states: Floats, centred_us: region_state.Ints) -> None:
+    def append(self, states: Floats, centred_us: Ints) -> None:
         """Add regions: states (ROWS, k) as of now_us, and when each was last centred."""
         self._repaint()
         k = states.shape[1]
@@ -220,22 +215,21 @@ class Regions:
         self._centred_us[i] = centred_us
         self._forget(i, i + 1)
 
-    def shift(self, i: int, d_px: tuple[float, float], dv_px_s: tuple[float, float], sure: Doubt) -> None:
-        """Move region i by so much, and say how sure it is then."""
-        # One by one: rows chosen by a list take ten times as long.
-        state = self._state
-        state[X, i] += d_px[0]
-        state[Y, i] += d_px[1]
-        state[VX, i] += dv_px_s[0]
-        state[VY, i] += dv_px_s[1]
-        state[P_XX, i], state[P_XV, i], state[P_VV, i] = sure.xx, sure.xv, sure.vv
+    def shift(self, which: Ints, d_px: Floats, dv_px_s: Floats, sure: Doubt) -> None:
+        """Move regions, (k,), by so much, (2, k) each, and say how sure they are then."""
+        self._state[X : Y + 1, which] += d_px
+        self._state[VX : VY + 1, which] += dv_px_s
+        self._state[P_XX : P_VV + 1, which] = sure.xx, sure.xv, sure.vv
 
-    def resize(self, i: int, reach_px: float, radius_px: float) -> None:
-        """Let region i reach so far, for a target of that radius."""
-        if (self._state[REACH, i], self._state[RADIUS, i]) != (reach_px, radius_px):
-            # Its histogram has another width from here on.
-            self._forget(i, i + 1)
-            self._state[REACH, i], self._state[RADIUS, i] = reach_px, radius_px
+    def resize(self, which: Ints, reach_px: Floats, radius_px: Floats) -> None:
+        """Let regions, (k,), reach so far, for targets of that radius."""
+        differs = (self._state[REACH, which] != reach_px) | (self._state[RADIUS, which] != radius_px)
+        if differs.any():
+            # Their histograms have another width from here on.
+            others = which[differs]
+            self._heard[:, others] = 0
+            self._counts[others] = 0
+            self._state[REACH, others], self._state[RADIUS, others] = reach_px[differs], radius_px[differs]
 
     def rank(self, read: Flags) -> None:
         """Say which regions, (n,), are being read at this moment."""
@@ -265,24 +259,36 @@ class Regions:
         """Return how far from its centre region i hears."""
         return float(self._state[REACH, i])
 
-    def doubt(self, i: int) -> Doubt:
-        """Return how sure that is."""
-        xx, xv, vv = self._state[P_XX : P_VV + 1, i].tolist()
+    def doubt(self, which: Ints) -> Doubt:
+        """Return how sure the places of regions, (k,), are."""
+        xx, xv, vv = self._state[P_XX : P_VV + 1, which]
         return Doubt(xx, xv, vv)
+
+    def doubt_px(self, i: int) -> float:
+        """Return sqrt(P_xx) of region i."""
+        return math.sqrt(self._state[P_XX, i])
+
+    def places(self, us: int = 0) -> Floats:
+        """Return x, y, vx, vy and reach of all regions, (5, n), so many microseconds after now_us."""
+        places = self._state[: REACH + 1, : self.n].copy()
+        if us:
+            places[:2] = np.clip(places[:2] + places[2:4] * (us / US_PER_S), -PLACE_LIMIT_PX, PLACE_LIMIT_PX)
+        return places
 
     def motion(self) -> Floats:
         """Return a copy of x, y, vx, vy of all regions at now_us, (4, n)."""
         return self._state[: VY + 1, : self.n].copy()
 
-    def drive(self, i: int) -> float:
-        """Return q, the intensity of the acceleration that region i is allowed."""
-        return float(self._state[Q, i])
+    def drive(self, which: Ints) -> Floats:
+        """Return q, the intensity of the acceleration that regions, (k,), are allowed."""
+        drive: Floats = self._state[Q, which]
+        return drive
 
     def states(self) -> Floats:
         """Return a copy of all states, (ROWS, n)."""
         return self._state[:, : self.n].copy()
 
-    def centred_us(self) -> region_state.Ints:
+    def centred_us(self) -> Ints:
         """Return a copy of when each region was last centred on its own events."""
         return self._centred_us[: self.n].copy()
 

@@ -16,47 +16,23 @@ with the light that is read:
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
+from heliograph.events import Flags
 from heliograph.link.contract import Text
-from heliograph.messages import Identification, Tracks
-from heliograph_services.decoder.config import DecoderConfig
+from heliograph.messages import Identification
 from heliograph_services.decoder.links import Accepted, TrackLinks
-from heliograph_services.decoder.regions import Doubt, Place, doubt, place
+from heliograph_services.decoder.region_state import REACH, Floats, Ints
+from heliograph_services.decoder.telling import Telling
 
-# Where the tracker has been silent for so long, only what is read goes on (paper: a valid track's delay_max).
-SILENCE_US: Final = 2_000_000
 # Read at this moment: a frame of 20 bits at 50 bit/s takes 400 ms.
 READING_US: Final = 450_000
 # Two names change places if that halves the distances, and they are off by more than a centroid's error each.
 EXCHANGE: Final = 0.5
 EXCHANGE_PX: Final = 2.0
-# No tracker is surer than that, whatever it says: half a pixel; 50 px/s and a tenth of the speed. Own edges, which come
-# every few milliseconds, soon know better.
-LEAST_PX2: Final = 0.25
-LEAST_PX_S: Final = 50.0
-LEAST_SHARE: Final = 0.1
-NUMBERS: Final = (
-    "x_px", "y_px", "vx_px_s", "vy_px_s", "radius_px", "x_var_px2", "x_vx_cov_px2_s", "vx_var_px2_s2",
-    "y_var_px2", "y_vy_cov_px2_s", "vy_var_px2_s2",
-)  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class Told:
-    """What a Tracks message says of one track, at its instant."""
-
-    name: str
-    born_us: int
-    place: Place
-    radius_px: float
-    doubt: Doubt
-    unseen_us: int  # before the message's instant
-
 
 @dataclass(slots=True)
 class Track:
@@ -89,160 +65,116 @@ class Track:
         return self.frame_us >= 0 and now_us - self.frame_us <= READING_US
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Plan:
     """What a Tracks message does to the tracks that are followed.
 
     Args:
-        update: tracks to go on, and what is told of them.
-        adopt: tracks to go on under another name.
-        end: tracks that end.
-        new: tracks to begin.
+        rows: (n,) the message's row of each track; -1 where it has none.
+        adopt: tracks to go on under the name of their row, by index.
+        end: tracks that end, by index.
+        new: rows of tracks to begin.
     """
 
-    update: list[tuple[Track, Told]]
-    adopt: list[tuple[Track, Told]]
-    end: list[Track]
-    new: list[Told]
+    rows: Ints
+    adopt: list[int]
+    end: list[int]
+    new: list[int]
 
 
-def finite(message: Tracks) -> bool:
-    """Return whether all numbers of a message are numbers: one that is not would spread to all that it is added to."""
-    return all(math.isfinite(sum(getattr(message, column))) for column in NUMBERS)
-
-
-def told_by(message: Tracks, followed: set[str], config: DecoderConfig) -> tuple[list[Told], int]:
-    """Return the rows of a message with their regions, and how many rows were left out.
-
-    A region's reach is scale * radius + margin, at most region_max_px. A track that is born after the message's own
-    instant counts as born at it. Of names that are not followed, the first max_tracks are taken: a damaged message may
-    have a million.
-    """
-    room = config.max_tracks
-    rows: list[Told] = []
-    for i, name in enumerate(message.track):
-        if name not in followed:
-            if room == 0:
-                continue
-            room -= 1
-        reach_px = config.region_scale * message.radius_px[i] + config.region_margin_px
-        at = place(
-            message.x_px[i],
-            message.y_px[i],
-            message.vx_px_s[i],
-            message.vy_px_s[i],
-            min(config.region_max_px, reach_px),
-        )
-        # One covariance serves both axes: the larger doubt.
-        speed_px_s = math.hypot(at.vx_px_s, at.vy_px_s)
-        sure = doubt(
-            max(message.x_var_px2[i], message.y_var_px2[i], LEAST_PX2),
-            max(message.x_vx_cov_px2_s[i], message.y_vy_cov_px2_s[i], key=abs),
-            max(message.vx_var_px2_s2[i], message.vy_var_px2_s2[i], (LEAST_PX_S + LEAST_SHARE * speed_px_s) ** 2),
-        )
-        unseen_us = min(max(message.as_of_us - message.seen_us[i], 0), SILENCE_US)
-        radius_px = min(message.radius_px[i], config.region_max_px)
-        rows.append(Told(name, min(message.born_us[i], message.as_of_us), at, radius_px, sure, unseen_us))
-    return rows, len(message.track) - len(rows)
-
-
-def plan_of(followed: list[Track], then: list[Place], told: list[Told], now_us: int) -> Plan:
+def plan_of(followed: list[Track], then: Floats, told: Telling, reading: Flags) -> Plan:
     """Return what a message means for the tracks.
 
     Args:
         followed: the tracks, in their order.
-        then: where they were at the message's instant.
-        told: the message's rows.
-        now_us: the time.
+        then: (5, n) where they were at the message's instant: x, y, vx, vy, reach.
+        told: the message.
+        reading: (n,) of which frames come at this moment.
     """
-    by_name = {row.name: row for row in told}
-    at_home: dict[int, Told] = {}  # by the track's index
-    for i, track in enumerate(followed):
-        row = by_name.get(track.name)
-        if row is not None and _one_spot(then[i], row.place):
-            at_home[i] = row
-    live = {i for i, track in enumerate(followed) if track.reading(now_us)}
-    at_home |= _exchanged(then, {i: row for i, row in at_home.items() if i in live})
-    home_names = {row.name for row in at_home.values()}
+    row_of = {name: row for row, name in enumerate(told.names)}
+    named = np.array([row_of.get(track.name, -1) for track in followed], np.int64)
+    home = named >= 0
+    home[home] = _one_spot(then[:, home], told.places[:, named[home]])
+    given = np.where(home, named, -1)
+    _exchange(then, told.places, given, np.flatnonzero(home & reading))
+    loose = np.flatnonzero(~home).tolist()
+    taken = np.zeros(len(told.names), np.bool_)
+    taken[given[home]] = True
 
-    loose = [i for i in range(len(followed)) if i not in at_home]
-    free = [row for row in told if row.name not in home_names]
-    given: dict[int, Told] = at_home | _pairs([i for i in loose if i in live], then, free)
-    taken = {row.name for row in given.values()}
+    free = np.flatnonzero(~taken)
+    for i, row in _pairs([i for i in loose if reading[i]], then, told.places, free):
+        given[i] = row
+        taken[row] = True
     for i in loose:
-        row = by_name.get(followed[i].name)
-        if i not in given and row is not None and row.name not in taken:
-            given[i] = row
-            taken.add(row.name)
+        if given[i] < 0 and named[i] >= 0 and not taken[named[i]]:
+            given[i] = named[i]
+            taken[named[i]] = True
 
-    nameless = [i for i in range(len(followed)) if i not in given]
+    nameless = np.flatnonzero(given < 0).tolist()
     gone = _merged(followed, then, given, nameless)
-    gone |= {i for i in nameless if i not in given and (not followed[i].read or followed[i].name in taken)}
-    gone -= given.keys()
-    return Plan(
-        [(followed[i], row) for i, row in sorted(given.items()) if row.name == followed[i].name],
-        [(followed[i], row) for i, row in sorted(given.items()) if row.name != followed[i].name],
-        [followed[i] for i in sorted(gone)],
-        [row for row in told if row.name not in taken],
-    )
+    gone |= {i for i in nameless if given[i] < 0 and not (followed[i].read and (named[i] < 0 or not taken[named[i]]))}
+    elsewhere: list[int] = np.flatnonzero((given >= 0) & (given != named)).tolist()
+    return Plan(given, elsewhere, sorted(i for i in gone if given[i] < 0), np.flatnonzero(~taken).tolist())
 
 
-def _one_spot(own: Place, told: Place) -> bool:
-    return own.away_px(told) <= min(own.reach_px, told.reach_px)
+def away_px(some: Floats, others: Floats) -> Floats:
+    """Return the distances, (k,), of the centres of places (2 or more, k): x, y, ..."""
+    away: Floats = np.hypot(some[0] - others[0], some[1] - others[1])
+    return away
 
 
-def _exchanged(then: list[Place], at_home: dict[int, Told]) -> dict[int, Told]:
-    """Return the rows by track with those exchanged that are clearly on each other's spot."""
-    found = dict(at_home)
-    order = sorted(found)
+def _one_spot(own: Floats, told: Floats) -> Flags:
+    return away_px(own, told) <= np.minimum(own[REACH], told[REACH])
+
+
+def _exchange(then: Floats, told: Floats, given: Ints, order: Ints) -> None:
+    """Exchange the rows of those tracks, by index in `order`, that are clearly on each other's spot."""
     if len(order) < 2:
-        return found
-    x_px, y_px = (np.array([getattr(then[i], name) for i in order]) for name in ("x_px", "y_px"))
-    for i in order:
-        own = found[i].place
-        away = np.hypot(x_px - own.x_px, y_px - own.y_px)
-        k = order[int(np.argmin(away))]
+        return
+    known = then[:, order]
+    for i in order.tolist():
+        own = told[:, given[i]]
+        k = int(order[np.argmin(away_px(known, own))])
         if k == i:
             continue
-        stay = then[i].away_px(own) + then[k].away_px(found[k].place)
-        swap = then[k].away_px(own) + then[i].away_px(found[k].place)
+        others = told[:, given[k]]
+        stay = away_px(then[:, i], own) + away_px(then[:, k], others)
+        swap = away_px(then[:, k], own) + away_px(then[:, i], others)
         if stay > 2 * EXCHANGE_PX and swap <= EXCHANGE * stay:
-            found[i], found[k] = found[k], found[i]
-    return found
+            given[i], given[k] = given[k], given[i]
 
 
-def _pairs(loose: list[int], then: list[Place], free: list[Told]) -> dict[int, Told]:
+def _pairs(loose: list[int], then: Floats, told: Floats, free: Ints) -> list[tuple[int, int]]:
     """Return for tracks without a row on their spot the rows without a track that are: nearest first, each once."""
-    if not loose or not free:
-        return {}
-    x_px = np.array([row.place.x_px for row in free])
-    y_px = np.array([row.place.y_px for row in free])
-    reach_px = np.array([row.place.reach_px for row in free])
+    if not loose or not len(free):
+        return []
+    places = told[:, free]
     candidates: list[tuple[float, int, int]] = []
     for i in loose:
-        own = then[i]
-        away = np.hypot(x_px - own.x_px, y_px - own.y_px)
-        near = np.flatnonzero(away <= np.minimum(reach_px, own.reach_px))
-        candidates += [(float(away[k]), i, int(k)) for k in near]
-    pairs: dict[int, Told] = {}
+        away = away_px(places, then[:, i])
+        near = np.flatnonzero(away <= np.minimum(places[REACH], then[REACH, i]))
+        candidates += [(float(away[k]), i, int(free[k])) for k in near]
+    pairs: dict[int, int] = {}
     used: set[int] = set()
-    for _, i, k in sorted(candidates):
-        if i not in pairs and k not in used:
-            used.add(k)
-            pairs[i] = free[k]
-    return pairs
+    for _, i, row in sorted(candidates):
+        if i not in pairs and row not in used:
+            used.add(row)
+            pairs[i] = row
+    return list(pairs.items())
 
 
-def _merged(followed: list[Track], then: list[Place], given: dict[int, Told], nameless: list[int]) -> set[int]:
+def _merged(followed: list[Track], then: Floats, given: Ints, nameless: list[int]) -> set[int]:
     """Return the tracks that end since another one hears their beacon; where they read it better, they get its row."""
     gone: set[int] = set()
     for i in nameless:
-        near = [k for k in given if then[i].away_px(then[k]) <= 0.5 * min(then[i].reach_px, then[k].reach_px)]
-        if not near:
+        others = np.flatnonzero(given >= 0)
+        away = away_px(then[:, others], then[:, i])
+        near = np.flatnonzero(away <= 0.5 * np.minimum(then[REACH, others], then[REACH, i]))
+        if not len(near):
             continue
-        k = min(near, key=lambda one: (then[i].away_px(then[one]), one))
+        k = int(others[near[np.argmin(away[near])]])
         if followed[i].frame_us > followed[k].frame_us:
-            given[i] = given.pop(k)
+            given[i], given[k] = given[k], -1
             gone.add(k)
         else:
             gone.add(i)
