@@ -33,7 +33,7 @@ WIDTH, HEIGHT = 160, 120
 STEP_US, WINDOW_US = 1_000, 5_000
 
 
-SURE = Doubt(0.01, 0.0, 100.0)
+SURE = Doubt(*np.array([0.01, 0.0, 100.0]))
 
 
 def load(made: Regions, places: list[Place], now_us: int = 0, sure: Doubt = SURE) -> None:
@@ -127,7 +127,7 @@ def test_the_trimmed_mean_is_that_of_the_sorted_values(values: list[float]) -> N
 def test_prediction_and_correction_are_those_of_filterpy() -> None:
     filterpy = pytest.importorskip("filterpy.kalman")
     rng = np.random.default_rng(3)
-    state = column(Place(5.0, -3.0, 40.0, 7.0, 7.0), 3.0, Doubt(2.0, 1.5, 400.0))[:, None]
+    state = column(Place(5.0, -3.0, 40.0, 7.0, 7.0), 3.0, Doubt(*np.array([2.0, 1.5, 400.0])))[:, None]
     x_filter, y_filter = (filterpy.KalmanFilter(dim_x=2, dim_z=1) for _ in range(2))
     for one, at in ((x_filter, (5.0, 40.0)), (y_filter, (-3.0, 7.0))):
         one.x, one.P = np.array([[at[0]], [at[1]]]), np.array([[2.0, 1.5], [1.5, 400.0]])
@@ -154,7 +154,7 @@ def test_prediction_and_correction_are_those_of_filterpy() -> None:
 def test_a_region_that_hears_nothing_for_50_ms_is_carried_round_its_circle() -> None:
     speed, radius, noise_px = 1_000.0, 80.0, 0.1
     rng = np.random.default_rng(5)
-    state = column(Place(0.0, -radius, speed, 0.0, 7.0), 3.0, Doubt(0.1, 0.0, 400.0))[:, None]
+    state = column(Place(0.0, -radius, speed, 0.0, 7.0), 3.0, Doubt(*np.array([0.1, 0.0, 400.0])))[:, None]
     for step in range(1, 201):
         angle = speed / radius * step * 1e-3
         carry(state, 1, 1_000.0)
@@ -175,7 +175,7 @@ def test_a_region_that_hears_nothing_for_50_ms_is_carried_round_its_circle() -> 
 )
 def test_regions_share_events_where_their_gates_meet(apart_px: float, doubt_px2: float, shared: bool) -> None:
     # Reach 7 px; gates of 1.5 * 1.5 + 0.5 px and three sigmas.
-    sure = Doubt(doubt_px2, 0.0, 100.0)
+    sure = Doubt(*np.array([doubt_px2, 0.0, 100.0]))
     places = [Place(60.0 + k * apart_px, 50.0, 0.0, 0.0, 7.0) for k in range(2)]
     state = np.stack([column(at, 3.0, sure) for at in places], axis=1)
     share(state, np.zeros(2, np.int64), 2, 1_000)
@@ -191,7 +191,7 @@ def column_of(x_px: int, rows: int, t0_us: int, times: int) -> EventBatch:
 
 @pytest.mark.parametrize("times", [2, 50])
 def test_a_correction_follows_the_filters_equation_and_a_pixel_counts_twice_at_most(times: int) -> None:
-    made = regions([Place(50.0, 60.0, 0.0, 0.0, 8.0)], Doubt(0.5, 0.0, 0.0))
+    made = regions([Place(50.0, 60.0, 0.0, 0.0, 8.0)], Doubt(*np.array([0.5, 0.0, 0.0])))
     made.follow(column_of(52, 5, 0, times), STEP_US, Refusals())
     # The residual of 2 px falls into the bin whose middle is 2.125 px; 10 events count of however many.
     core_px = made.states()[CORE, 0]

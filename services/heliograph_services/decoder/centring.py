@@ -41,6 +41,7 @@ from heliograph_services.decoder.region_state import (
     REACH,
     SHARED,
     SPEED_LIMIT_PX_S,
+    TOGETHER,
     TURN,
     US_PER_S,
     VX,
@@ -52,6 +53,7 @@ from heliograph_services.decoder.region_state import (
     X,
     Y,
     gate_px,
+    neighbours,
     part,
     shown_px,
 )
@@ -98,17 +100,23 @@ def share(state: Floats, centred_us: Ints, n: int, now_us: int) -> None:
     """
     for i in range(n):
         state[SHARED, i] = 0.0
+    xs, ys, reaches = state[X], state[Y], state[REACH]
     for k in range(n):
         # Of a thousand tracks that hear nothing, none takes anything from another.
         if now_us - centred_us[k] > ALIVE_US:
             continue
-        for i in range(n):
-            both = state[REACH, i] + state[REACH, k]
-            dx, dy = abs(state[X, i] - state[X, k]), abs(state[Y, i] - state[Y, k])
-            if i != k and dx < both and dy < both and dx * dx + dy * dy < both * both:
-                gates = gate_px(state, i) + gate_px(state, k)
-                if dx * dx + dy * dy < gates * gates and state[RANK, k] >= state[RANK, i]:
-                    state[SHARED, i] = 1.0
+        x, y, reach = state[X, k], state[Y, k], state[REACH, k]
+        for first in range(0, n, TOGETHER):
+            behind = min(first + TOGETHER, n)
+            if not neighbours(xs[first:behind], ys[first:behind], reaches[first:behind], x, y, reach):
+                continue
+            for i in range(first, behind):
+                both = reaches[i] + reach
+                dx, dy = abs(xs[i] - x), abs(ys[i] - y)
+                if i != k and dx < both and dy < both and dx * dx + dy * dy < both * both:
+                    gates = gate_px(state, i) + gate_px(state, k)
+                    if dx * dx + dy * dy < gates * gates and state[RANK, k] >= state[RANK, i]:
+                        state[SHARED, i] = 1.0
 
 
 @part

@@ -30,7 +30,7 @@ from heliograph_services.decoder.identities import Identities
 from heliograph_services.decoder.link_plan import LinkPlan, ModulationOf
 from heliograph_services.decoder.links import Decided
 from heliograph_services.decoder.measuring import Measure
-from heliograph_services.decoder.publish import BearingOf, FrameRow, Publisher
+from heliograph_services.decoder.publish import FrameRow, Publisher, bearing_of
 from heliograph_services.decoder.schedule import Schedule
 from heliograph_services.decoder.stream import EventStream, Window, fault
 from heliograph_services.decoder.telling import SILENCE_US, finite
@@ -66,7 +66,7 @@ class DecoderCore:
         self.gauges: dict[str, float] = {"tracks": 0.0, "identities": 0.0, "backlog_events": 0.0}
         self._config = config
         self._plan = LinkPlan(config, modulation_of, measure or _measure(config))
-        self._publisher = Publisher(config.camera, _bearing(camera_text))
+        self._publisher = Publisher(config.camera, bearing_of(camera_text))
         self._identities = Identities(self._plan, self._publisher)
         self._schedule = Schedule(lockstep=context.lockstep, period_us=config.tracker_period_us)
         self._stream: EventStream | None = None
@@ -196,23 +196,11 @@ class DecoderCore:
         if ends:
             following.end_beat()
         rows, self._early = self._early, []
-        stirred = ends
-        for i in following.feeding.whom(window.t1_us, beat=ends, every=window.last or self._is_on_the_grid(now_us)):
-            track = following.tracks[i]
-            decided = track.links.feed(*following.feeding.take(i), window.t1_us)
-            following.feeding.fed(i, window.t1_us, track.links.due_us())
-            if track.links.winner is not None:
-                following.feeding.spoke(i)
-            if decided:
-                rows += self._collected(following, i, decided)
-            self._note_refusals(track)
-            stirred = self._identities.stirs(track, now_us) or stirred
+        every = window.last or self._is_on_the_grid(now_us)
+        due = following.feeding.whom(window.t1_us, beat=ends, every=every)
+        stirred = self._feed(following, due, window.t1_us, now_us, rows) or ends
         if window.last:
-            for i, track in enumerate(following.tracks):
-                rows += self._collected(following, i, track.links.flush(window.t1_us))
-                if track.links.winner is not None:
-                    following.feeding.spoke(i)
-                self._note_refusals(track)
+            self._flush(following, window.t1_us, rows)
         if rows or self._refused:
             refused, self._refused = self._refused, Refusals()
             out.append(self._publisher.frames(rows, refused, window.t0_us, now_us))
@@ -221,6 +209,31 @@ class DecoderCore:
         if ends:
             out += self._end_beat(following, window, now_us)
         return out
+
+    def _feed(self, following: Following, due: list[int], t1_us: int, now_us: int, rows: list[FrameRow]) -> bool:
+        """Feed the receivers of some tracks, add their frames; return whether what they read is news."""
+        feeding = following.feeding
+        stirred = False
+        for i in due:
+            track = following.tracks[i]
+            links = track.links
+            decided = links.feed(*feeding.take(i), t1_us)
+            feeding.fed(i, t1_us, links.due_us())
+            if links.winner is not None:
+                feeding.spoke(i)
+            if decided:
+                rows += self._collected(following, i, decided)
+            self._note_refusals(track)
+            stirred = self._identities.stirs(track, now_us) or stirred
+        return stirred
+
+    def _flush(self, following: Following, t1_us: int, rows: list[FrameRow]) -> None:
+        """Let all receivers decide what they hold, and add their frames."""
+        for i, track in enumerate(following.tracks):
+            rows += self._collected(following, i, track.links.flush(t1_us))
+            if track.links.winner is not None:
+                following.feeding.spoke(i)
+            self._note_refusals(track)
 
     def _begin_beat(self, following: Following, t0_us: int) -> list[Message]:
         """Let the tracks that have come take effect, and say which regions are being read."""
@@ -351,15 +364,6 @@ _COUNTERS: Final = (
     "refreshments_withheld", "streams",
     "tracks_adopted", "tracks_begun", "tracks_dropped", "tracks_relocated", "windows",
 )  # fmt: skip
-
-
-def _bearing(camera_text: str) -> BearingOf | None:
-    """Return what gives a pixel its bearing, or None without a camera file."""
-    if not camera_text:
-        return None
-    from heliograph.camera import parse  # noqa: PLC0415 - only a site with a camera file needs it
-
-    return parse(camera_text).bearing
 
 
 def _measure(config: DecoderConfig) -> Measure | None:

@@ -204,9 +204,7 @@ class Following:
             self.regions.put(i, found[:, k], int(centred_us[k]))
         self.relocated += len(astray)
 
-    def _begin(
-        self, told: Telling, rows: list[int], as_of_us: int, now_us: int
-    ) -> list[tuple[Track, list[Decided]]]:
+    def _begin(self, told: Telling, rows: list[int], as_of_us: int, now_us: int) -> list[tuple[Track, list[Decided]]]:
         """Begin new tracks, of these rows, with what the backlog holds of them."""
         read = self.all_at(as_of_us)[:, self.feeding.reading(now_us)]
         born_us = [now_us if _is_near(told.places[:, row], read) else int(told.born_us[row]) for row in rows]

@@ -21,6 +21,15 @@ BEARING_DIGITS: Final = 6
 MARGIN_LIMIT: Final = 1e9
 
 
+def bearing_of(camera_text: str) -> BearingOf | None:
+    """Return what gives a pixel its bearing, or None without a camera file."""
+    if not camera_text:
+        return None
+    from heliograph.camera import parse  # noqa: PLC0415 - only a site with a camera file needs it
+
+    return parse(camera_text).bearing
+
+
 def px(value: float) -> float:
     """Return pixels (or px/s) to a thousandth, never -0."""
     return round(float(value), 3) + 0.0

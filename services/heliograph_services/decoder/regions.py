@@ -20,6 +20,7 @@ import numpy as np
 from heliograph.errors import Refusal, Refusals
 from heliograph.events import EventBatch, Flags, Times
 from heliograph_services.decoder import centring, region_state, routing
+from heliograph_services.decoder.painting import DRAWN_ROWS, TILE_PX
 from heliograph_services.decoder.region_state import (
     CORE,
     NEVER,
@@ -163,7 +164,8 @@ class Regions:
         self._self_centring = self_centring and self._pixels > 1
         self._labels = np.zeros((height, width), np.uint16)
         self._seen = np.zeros((height, width), np.uint8)
-        self._painted = np.zeros((3, capacity), np.float64)
+        self._stale = np.zeros((-(-height // TILE_PX), -(-width // TILE_PX)), np.uint8)
+        self._painted = np.zeros((DRAWN_ROWS, capacity), np.float64)
         self._n_painted = 0
         self._state = np.zeros((ROWS, capacity), np.float64)
         self._centred_us = np.full(capacity, NEVER, np.int64)
@@ -326,8 +328,8 @@ class Regions:
         hit, label, depth = np.empty(m, np.int64), np.empty(m, np.uint16), np.empty(m, np.uint8)
         hits, paintings, off = routing.follow(
             batch.t_us, batch.x_px, batch.y_px, self.now_us, step_us, steps, self._self_centring,
-            self._labels, self._painted, self._n_painted, self._state, self._centred_us, self._heard, self._counts,
-            self.n, self.noise_per_px_us, hit, label, depth, self._seen,
+            self._labels, self._stale, self._painted, self._n_painted, self._state, self._centred_us, self._heard,
+            self._counts, self.n, self.noise_per_px_us, hit, label, depth, self._seen,
         )  # fmt: skip
         self.now_us += window_us
         if paintings:

@@ -1,14 +1,6 @@
 """The kernels that say which track hears an event, and how deep in its image it lies.
 
-Lookup image, one uint16 a pixel (0 = nobody, i + 1 = track i)::
-
-    label(p) = 1 + argmin_i |p - c_i| / r_i    over the tracks with |p - c_i| <= s_i      (equal: the lowest i)
-
-r is the region's own radius, s >= r what it listens to for now; within r a region that is being read goes
-before those that are not, so that a track of the clutter cannot take a beacon's events. It is repainted at the first
-step with events in which a region has moved or grown by a pixel since; painting costs the pixels of the regions, old
-and new, never those of the sensor.
-
+An event is its region's whose label the lookup image has at its pixel (heliograph_services.decoder.painting).
 Once a step (1 ms) the regions are carried (heliograph_services.decoder.region_state), and centred on what they have
 heard (heliograph_services.decoder.centring). A pixel counts there at most `PIXEL_LIMIT` times a step.
 
@@ -38,15 +30,15 @@ import numpy.typing as npt
 
 from heliograph.events import Pixels, Times
 from heliograph.link.stamp import stamp
-from heliograph_services.decoder import centring, region_state
+from heliograph_services.decoder import centring, painting, region_state
 from heliograph_services.decoder.centring import BINS_PER_PX, half_bins, settle, share
+from heliograph_services.decoder.painting import TILE_SHIFT, UNPAINTED, Stale, draw, moved, paint
 from heliograph_services.decoder.region_state import (
     CORE,
     EVENTS,
     FIRST,
     P_XX,
     PIXELS,
-    RANK,
     REACH,
     US_PER_S,
     VX,
@@ -62,7 +54,6 @@ from heliograph_services.decoder.region_state import (
     gate_of,
     grown_px,
     part,
-    shown_px,
 )
 
 PIXEL_LIMIT: Final = 2
@@ -80,70 +71,6 @@ CORE_OF: Final = 1
 HEART_OF: Final = 2
 # A hundred edges of 30 events move m by up to its whole; in between it trembles by a tenth of a pixel.
 CORE_STEP_PX: Final = 0.01
-# Repaint as soon as a centre has moved so far; the regions' margin is more than that.
-REPAINT_PX: Final = 1.0
-
-
-@part
-def span(centre: float, reach: float, side: int) -> tuple[int, int]:
-    """Return the first and behind the last pixel of a row or column that a disc can touch, within the sensor."""
-    low = min(max(math.ceil(centre - reach), 0.0), float(side))
-    high = min(max(math.floor(centre + reach) + 1.0, 0.0), float(side))
-    return int(low), int(high)
-
-
-@part
-def goes_before(state: Floats, i: int, inner: float, k: int, x: int, y: int) -> bool:
-    """Return whether region i hears a pixel rather than region k; `inner` is its (|p - c_i| / r_i)^2."""
-    ox, oy, reach = x - state[X, k], y - state[Y, k], state[REACH, k]
-    other = (ox * ox + oy * oy) / (reach * reach)
-    if state[RANK, i] > state[RANK, k] and inner <= 1.0:
-        return True
-    if state[RANK, k] > state[RANK, i] and other <= 1.0:
-        return False
-    return bool(inner < other)
-
-
-@part
-def paint(labels: Labels, old: Floats, n_old: int, state: Floats, n: int) -> None:
-    """Clear the n_old regions that `old` (3, capacity: x, y, reach) names, paint the n new ones, note them in `old`."""
-    height, width = labels.shape
-    for i in range(n_old):
-        x0, x1 = span(old[0, i], old[2, i], width)
-        y0, y1 = span(old[1, i], old[2, i], height)
-        labels[y0:y1, x0:x1] = 0
-    for i in range(n):
-        reach = shown_px(state, i)
-        x0, x1 = span(state[X, i], reach, width)
-        y0, y1 = span(state[Y, i], reach, height)
-        limit = reach * reach
-        own = state[REACH, i] * state[REACH, i]
-        for y in range(y0, y1):
-            dy = y - state[Y, i]
-            for x in range(x0, x1):
-                dx = x - state[X, i]
-                near = dx * dx + dy * dy
-                if near > limit:
-                    continue
-                if labels[y, x] != 0 and not goes_before(state, i, near / own, labels[y, x] - 1, x, y):
-                    continue
-                labels[y, x] = i + 1
-        old[0, i] = state[X, i]
-        old[1, i] = state[Y, i]
-        old[2, i] = reach
-
-
-@part
-def moved(old: Floats, n_old: int, state: Floats, n: int) -> bool:
-    """Return whether a region has moved or grown by a pixel since it was painted."""
-    if n != n_old:
-        return True
-    for i in range(n):
-        if max(abs(state[X, i] - old[0, i]), abs(state[Y, i] - old[1, i])) >= REPAINT_PX:
-            return True
-        if abs(shown_px(state, i) - old[2, i]) >= REPAINT_PX:
-            return True
-    return False
 
 
 @part
@@ -155,6 +82,8 @@ def look_up(
     begin_us: int,
     step_us: int,
     labels: Labels,
+    stale: Stale,
+    painted: Floats,
     state: Floats,
     n: int,
     heard: Ints,
@@ -182,6 +111,9 @@ def look_up(
             off += 1
             continue
         label = labels[y, x]
+        if label == UNPAINTED:
+            paint(labels, stale, painted, n, x >> TILE_SHIFT, y >> TILE_SHIFT)
+            label = labels[y, x]
         # Written in any case, and kept where somebody hears it: see below.
         hit[hits] = offset + j
         hit_label[hits] = label
@@ -236,6 +168,7 @@ def _entry(sources: int) -> Callable[..., tuple[int, int, int]]:
         steps: int,
         self_centring: bool,
         labels: Labels,
+        stale: Stale,
         painted: Floats,
         n_painted: int,
         state: Floats,
@@ -259,12 +192,12 @@ def _entry(sources: int) -> Callable[..., tuple[int, int, int]]:
                 # A region is painted where it is in the middle of the step.
                 carry(state, n, 0.5 * step_us)
                 if n_painted < 0 or moved(painted, n_painted, state, n):
-                    paint(labels, painted, n_painted if n_painted >= 0 else -n_painted - 1, state, n)
+                    draw(labels, stale, painted, n_painted if n_painted >= 0 else -n_painted - 1, state, n)
                     n_painted = n
                     paintings += 1
                 hits, missed = look_up(
                     t_us[first:k], x_px[first:k], y_px[first:k], first, begin_us, step_us,
-                    labels, state, n, heard, counts, hits, hit, hit_label, hit_depth, seen,
+                    labels, stale, painted, state, n, heard, counts, hits, hit, hit_label, hit_depth, seen,
                 )  # fmt: skip
                 off += missed
                 carry(state, n, 0.5 * step_us)
@@ -277,7 +210,7 @@ def _entry(sources: int) -> Callable[..., tuple[int, int, int]]:
     return cast("Callable[..., tuple[int, int, int]]", kernel_of)
 
 
-_KERNEL: Final = _entry(stamp(region_state, centring))
+_KERNEL: Final = _entry(stamp(region_state, centring, painting))
 
 
 def follow(
@@ -289,6 +222,7 @@ def follow(
     steps: int,
     self_centring: bool,
     labels: Labels,
+    stale: Stale,
     painted: Floats,
     n_painted: int,
     state: Floats,
@@ -313,7 +247,8 @@ def follow(
         steps: how many steps the window has.
         self_centring: regions are centred on their events; else they are carried alone.
         labels: (height, width), the lookup image.
-        painted: (3, capacity), what it was painted from.
+        stale: (rows, columns) of its squares: 1 where it is to be painted anew.
+        painted: (DRAWN_ROWS, capacity), what it is painted from.
         n_painted: how many regions; -(k + 1) says that there were k, and that they are to be repainted.
         state: (ROWS, capacity).
         centred_us: (capacity,) when each was centred last; noted in place.
@@ -327,6 +262,6 @@ def follow(
         seen: (height, width), zeros before and after.
     """
     return _KERNEL(
-        t_us, x_px, y_px, t0_us, step_us, steps, self_centring, labels, painted, n_painted, state, centred_us,
-        heard, counts, n, noise_per_px_us, hit, hit_label, hit_depth, seen,
+        t_us, x_px, y_px, t0_us, step_us, steps, self_centring, labels, stale, painted, n_painted, state,
+        centred_us, heard, counts, n, noise_per_px_us, hit, hit_label, hit_depth, seen,
     )  # fmt: skip

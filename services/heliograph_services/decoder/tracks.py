@@ -34,6 +34,7 @@ READING_US: Final = 450_000
 EXCHANGE: Final = 0.5
 EXCHANGE_PX: Final = 2.0
 
+
 @dataclass(slots=True)
 class Track:
     """One followed target.
@@ -124,7 +125,8 @@ def away_px(some: Floats, others: Floats) -> Floats:
 
 
 def _one_spot(own: Floats, told: Floats) -> Flags:
-    return away_px(own, told) <= np.minimum(own[REACH], told[REACH])
+    near: Flags = away_px(own, told) <= np.minimum(own[REACH], told[REACH])
+    return near
 
 
 def _exchange(then: Floats, told: Floats, given: Ints, order: Ints) -> None:
