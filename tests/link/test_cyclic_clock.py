@@ -1,4 +1,4 @@
-"""The bit clock's periodogram: what one polarity does not drown the other."""
+"""The bit clock's periodogram: one polarity does not drown the other, and 5 % off is not too far."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from heliograph.link import clock
+from heliograph.link.modulations import modulation
+from support.async_lights import read
 
 BLOCKS = 4
 
@@ -56,3 +58,38 @@ def test_one_polarity_alone_is_a_clock() -> None:
         sums[:, 4 * o : 4 * o + 2] = 0.0
     assert clock.peak(sums)[1] >= clock.THRESHOLD_SHORT
     assert clock.peak(np.zeros((BLOCKS, clock.SUMS))) == (1.0, 0.0)
+
+
+@pytest.mark.parametrize("percent", [-5.0, -2.0, 0.0, 2.0, 5.0])
+@pytest.mark.parametrize("protocol", ["seed11", "code"])
+def test_beacons_of_rc_clocks_are_identified_at_the_nominal_rate(protocol: str, percent: float) -> None:
+    # Words of 20 bits repeat every 5 % of the bit rate: their lines lie where another clock would.
+    kind = modulation(protocol)
+    bits = np.array(kind.encode(42)).tolist()
+    bit = 500.0 / (1.0 + 0.01 * percent)
+    levels = np.array([0, *(bits * (600 // len(bits)))])
+    edges = np.flatnonzero(np.diff(levels))
+    rng = np.random.default_rng(7)
+    t = np.repeat(1000.0 + edges * bit, 6) + rng.exponential(0.05 * bit, 6 * len(edges))
+    on = np.repeat(np.diff(levels)[edges] > 0, 6)
+    order = np.argsort(t, kind="stable")
+    done = read(kind.receiver(2000.0), t[order].astype(np.int64), on[order], window_us=5000)
+    assert done.identity is not None
+    assert done.identity.payload == 42
+    # Half a second before the clock is found and the frames are in their place.
+    assert done.payloads.count(42) >= len(done.payloads) - 1 >= 600 // len(bits) - 6
+
+
+def test_a_line_beside_the_bit_rate_is_told_too_and_a_rarer_clock_comes_after_a_common_one() -> None:
+    # One rise in every 20 bits: all lines of the word are as high.
+    t = np.arange(3.3, 256.0, 20.0)
+    sums = np.zeros((16, clock.SUMS))
+    for b in range(16):
+        own = t[(t >= 16.0 * b) & (t < 16.0 * (b + 1))] - 16.0 * b
+        clock.block(np.repeat(own, 3), np.ones(3 * len(own), np.bool_), sums[b])
+    found = np.empty((clock.PEAKS, 2))
+    assert clock.peaks(sums, 10.0, found) == 3
+    assert found[0, 0] == pytest.approx(1.0, abs=1e-3)
+    assert sorted(found[1:, 0]) == pytest.approx([0.95, 1.05], abs=1e-3)
+    assert clock.peaks(sums, 1e3, found) == 1
+    assert clock.peak(sums)[0] == pytest.approx(1.0, abs=1e-3)

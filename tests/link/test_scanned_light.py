@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from heliograph.link import clock, scan_response, scans
+from heliograph.link import scan_response, scans
 from heliograph.link.contract import LinkFrame
 from heliograph.link.cyclic import CyclicReceiver
+from heliograph.link.cyclic_scans import ScanSearch
 from heliograph.link.frames import SEED11_BITS, bits_of, seed11_code
 
 CODE = seed11_code()
@@ -153,10 +154,25 @@ def test_what_lies_behind_the_end_of_a_stream_is_no_evidence_and_frames_that_end
     assert wrong <= 1  # as many as the scores of these frames expect
 
 
-def test_the_nominal_rate_is_among_those_searched_though_a_window_has_an_odd_number_of_blocks() -> None:
-    sums = np.zeros((3, clock.SUMS))
-    t = np.arange(0.0, 48.0, 2.0) + 0.25
-    for row, first in zip(sums, (0.0, 16.0, 32.0), strict=True):
+def test_the_nominal_rate_is_among_those_tried_though_a_window_has_an_odd_number_of_blocks() -> None:
+    search = ScanSearch(500.0)
+    t = np.arange(0.0, 48.0, 0.5) + 0.01
+    assert search.look((t * 500.0).astype(np.int64))
+    for first in (0.0, 16.0, 32.0):
         mine = t[(t >= first) & (t < first + 16.0)] - first
-        clock.block(mine, np.ones(len(mine), np.bool_), row)
-    assert clock.nearest(sums, 0.5)[0] == 1.0
+        # An ON burst every other bit, an OFF burst between them.
+        search.take(np.repeat(mine, 4), np.repeat((mine + first) % 4.0 < 2.0, 4))
+    rates = search.peaks(3, 1.0)
+    assert rates[0, 0] == 1.0
+    assert search.peaks(3, 1e9)[0, 1] < 1e9
+
+
+@pytest.mark.parametrize("percent", [-5.0, -1.0, 0.4, 1.0, 3.0, 5.0])
+def test_a_clock_is_found_where_the_scans_mirror_it(percent: float) -> None:
+    # 2.01 scans a bit: at +1 % a clock shows at the nominal rate as well, at +.5 % both are one.
+    t_us, on, payloads, bit_us = scanned(2500.0, 199.0, 90, 4, percent * 1e4)
+    frames, receiver = read(t_us, on, 2500.0)
+    assert receiver.quality(int(t_us[-1])).clock_ppm == pytest.approx(percent * 1e4, abs=500.0)
+    ends = t_us[-1] - (np.arange(len(payloads))[::-1] * SEED11_BITS * bit_us)
+    right = sum(payloads[int(np.argmin(np.abs(ends - frame.t_us)))] == frame.payload for frame in frames)
+    assert right >= 70

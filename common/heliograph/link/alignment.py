@@ -43,6 +43,7 @@ from heliograph.link.state import (
     OUT_SCORE,
     OUT_SLOT,
     OUTSIDE,
+    PERIOD,
     RING,
     RUN,
     SEARCHED,
@@ -169,7 +170,7 @@ def _settle(m: int, state: State) -> tuple[float, bool]:
     """Publish or refuse the frame that ends at slot m; return its evidence (0 if it says nothing), and if it taught."""
     n = state.words.shape[1]
     # Each transmitted frame is published once: after a slip the next one may not overlap the last by half a bit.
-    if state.facts[m % RING, AT] < state.floats[LAST_END] + n - 0.5:
+    if state.facts[m % RING, AT] < state.floats[LAST_END] + (n - 0.5) * state.floats[PERIOD]:
         return 0.0, False
     verdict = np.empty(VERDICT_FIELDS)
     decide(state.ring, m - n, state.words, state.floats[NEXT_ONE], verdict)

@@ -1,19 +1,23 @@
 """Bit clock: found by a periodogram, then tracked by a PI loop.
 
-Acquisition. The light's edges lie on b_0 + m T, T unknown within +-2.5 %. Time is cut into blocks of 16 nominal bits
+Acquisition. The light's edges lie on b_0 + m T, T unknown within +-5.5 %. Time is cut into blocks of 16 nominal bits
 and sub-bins of a sixteenth of a bit, with counts c_p[i] of polarity p. A block's sums, taken about its centre, barely
-change with f, so five of them serve all offsets, and a window's periodogram costs a few operations a block::
+change with f, so nine of them serve all offsets, and a window's periodogram costs a few operations a block::
 
-    S_p(b, f) = sum_i in b c_p[i] exp(-2 pi j f (i / 16 - centre_b))      f in bits a nominal bit, 1 +- 0.025
-    R_p(f)    = sum_b exp(-2 pi j f centre_b) S_p(b, nearest of five f)
+    S_p(b, f) = sum_i in b c_p[i] exp(-2 pi j f (i / 16 - centre_b))      f in bits a nominal bit, 1 +- 0.055
+    R_p(f)    = sum_b exp(-2 pi j f centre_b) S_p(b, nearest of nine f)
     z(f)      = sum_p |R_p(f)|^2 / sum_i (c_p[i] - mean c_p)^2            noise: exp(-z) (1 + z)
 
 Each polarity counts by its own power: a falling LED's edge may trail over more than a bit, in many events without a
 phase, beside which sharp rises must not drown.
 
-Windows of 64 bits, and of 256 where 64 do not suffice (jitter, noise); f is the peak of z, refined by a parabola. NRZ
-bits have a spectral null at the bit rate, so what a *lit* LED does while it moves does not disturb; the edges alone
-stand out. The phases of R_on and R_off give the delay of each polarity; the bit grid goes midway between them.
+Windows of 64 bits, and of 256 where 64 do not suffice (jitter, noise). Few clocks are more than 2.5 % off, so a rate
+beyond counts with RARE nats less: noise finds hardly more clocks than in the narrow span alone, and good clocks are
+found as soon. f is the peak, refined by a parabola. A word of n bits that repeats has lines 1 / n from its bit rate,
+nearly as high where its edges lie close together; so peaks nearly as high as the highest are told too, and who looks
+for frames chooses (`heliograph.link.beginning`). NRZ bits have a spectral null at the bit rate, so what a *lit* LED
+does while it moves does not disturb; the edges alone stand out. The phases of R_on and R_off give the delay of each
+polarity; the bit grid goes midway between them.
 
 Tracking. After a slot with a transition of polarity p, whose events n[k] lie at offsets x_k from the boundary and are
 the transition's own with probability q_p[k] (learned, `heliograph.link.response`)::
@@ -37,21 +41,32 @@ Floats = npt.NDArray[np.float64]
 SUB: Final = 16
 # Bits of a block, also between two attempts: the longest a lock can come late.
 BLOCK_BITS: Final = 16
-# Blocks of the short window: 64 bits resolve 1.6 %, so the whole +-2.5 % is three cells; half of it hardly holds a word
+# Blocks of the short window: 64 bits resolve 1.6 %, so the whole +-5.5 % is seven cells; half of it hardly holds a word
 # of 20 bits twice. And of the long one: four times the certainty, a quarter of a second at 1 kbit/s.
 SHORT_BLOCKS: Final = 4
 LONG_BLOCKS: Final = 16
-# Searched offset: crystals keep 0.01 %, RC oscillators of cheap beacons 1 to 2 %.
-SPAN: Final = 0.025
-# Offsets at which a block is summed: at the edge of a block the nearest of five is wrong by at most 0.05 turns.
-BLOCK_OFFSETS: Final = 5
-# Offsets a window is searched at, per block: a sixth of the resolution.
-STEPS_PER_BLOCK: Final = 5
+# Searched offset: crystals keep 0.01 %, RC oscillators of cheap beacons 1 to 5 %; at the edge a peak has two sides.
+SPAN: Final = 0.055
+# Beyond this a clock is rarer than within, by so many nats: there are half as many resolved offsets again as within.
+COMMON: Final = 0.025
+RARE: Final = 2.0
+# The price rises over so much, a fraction of what a short window resolves: at a step, peaks would be drawn to its edge.
+RAMP: Final = 0.005
+# Offsets at which a block is summed: at the edge of a block the nearest of nine is wrong by at most 0.055 turns.
+BLOCK_OFFSETS: Final = 9
+# Offsets a window is searched at, per block: a quarter of the resolution.
+STEPS_PER_BLOCK: Final = 7
+# Two lines within one and a half of the resolution may cancel where they overlap, so many steps wide.
+DIP: Final = 6
+# Peaks told at most: the highest, and a line of the word's on either side.
+PEAKS: Final = 3
+# Of the highest, from here on another may be the bit rate: two edges of a polarity, 2 bits of 20 apart, leave .90.
+AS_HIGH: Final = 0.7
 # Numbers of a block: for each offset the real and imaginary sums of OFF and ON; then the power of both.
 POWER: Final = 4 * BLOCK_OFFSETS
 SUMS: Final = POWER + 2
-# exp(-z) (1 + z) times the independent offsets and as many between them: 5e-4 * 8 and 8e-5 * 28, a wrong lock in noise
-# once in 250 and in 450 attempts. It costs no more than time.
+# exp(-z) (1 + z) times the independent offsets and as many between them, those beyond COMMON by exp(-RARE): 5e-4 * 10
+# and 8e-5 * 33, a wrong lock in noise once in 200 and in 380 attempts. It costs no more than time.
 THRESHOLD_SHORT: Final = 10.0
 THRESHOLD_LONG: Final = 12.0
 # Loop gain at lock and in the long run: the first pulls .1 bit of error in within one frame of seed11, the second
@@ -60,7 +75,7 @@ GAIN_START: Final = 0.15
 GAIN_END: Final = 0.04
 GAIN_SLOTS: Final = 32
 # A clock outside this is no clock of the nominal rate.
-CLOCK_LIMIT: Final = 0.035
+CLOCK_LIMIT: Final = 0.065
 
 
 def _turned() -> Floats:
@@ -106,27 +121,52 @@ def block(t: Floats, on: npt.NDArray[np.bool_], sums: Floats) -> None:
 
 @numba.njit(cache=True, nogil=True)
 def peak(sums: Floats) -> tuple[float, float]:
-    """Return the bit rate, in bits a nominal bit, at which the window of these blocks is most coherent, and its z.
+    """Return the bit rate, in bits a nominal bit, that the window of these blocks shows, and its z (less RARE).
 
     Args:
         sums: (blocks, SUMS), oldest first.
     """
     z = _spectrum(sums)
-    steps = len(z)
     best = int(np.argmax(z))
-    if z[best] <= 0.0:
-        return 1.0, 0.0
-    f = 1.0 + SPAN * (2.0 * best / (steps - 1) - 1.0)
-    if 0 < best < steps - 1:
-        bend = z[best - 1] - 2.0 * z[best] + z[best + 1]
-        if bend < 0.0:
-            f += 0.5 * (z[best - 1] - z[best + 1]) / bend * 2.0 * SPAN / (steps - 1)
-    return f, z[best]
+    return _refined(z, best) if z[best] > 0.0 else (1.0, 0.0)
 
 
 @numba.njit(cache=True, nogil=True)
-def nearest(sums: Floats, share: float) -> tuple[float, float]:
-    """Return, of the bit rates with a share of the greatest z, the one nearest to the nominal; and the greatest z.
+def peaks(sums: Floats, threshold: float, found: Floats) -> int:
+    """Find the bit rates that the window of these blocks may show.
+
+    Args:
+        sums: (blocks, SUMS), oldest first.
+        threshold: z of the highest; where it is below, it alone is told.
+        found: (PEAKS, 2) out: rate and z as of `peak`, the highest first.
+
+    Returns:
+        How many there are, at least 1.
+    """
+    z = _spectrum(sums)
+    top = z.max()
+    n = 0
+    while n < len(found):
+        best = int(np.argmax(z))
+        if n > 0 and (z[best] < AS_HIGH * top or z[best] < threshold):
+            break
+        found[n, 0], found[n, 1] = _refined(z, best) if z[best] > 0.0 else (1.0, 0.0)
+        n += 1
+        if top < threshold:
+            break
+        # This peak is done with, down to either foot.
+        left, right = best, best
+        while left > 0 and z[left - 1] <= z[left]:
+            left -= 1
+        while right < len(z) - 1 and z[right + 1] <= z[right]:
+            right += 1
+        z[left : right + 1] = 0.0
+    return n
+
+
+@numba.njit(cache=True, nogil=True)
+def lobes(sums: Floats, share: float) -> Floats:
+    """Return (n,) the bit rates with a share of the greatest z, a quarter of the resolution apart, and those in a dip.
 
     Args:
         sums: (blocks, SUMS), oldest first.
@@ -134,20 +174,39 @@ def nearest(sums: Floats, share: float) -> tuple[float, float]:
     """
     z = _spectrum(sums)
     steps = len(z)
-    top = z.max()
-    # Of an even number of rates none is the nominal itself: clocks .17 % off were begun with.
-    if steps % 2 == 0 and min(z[steps // 2 - 1], z[steps // 2]) >= share * top:
-        return 1.0, top
-    best = 0
+    least = share * z.max()
+    out = np.empty(steps)
+    n, last = 0, -steps
     for s in range(steps):
-        if z[s] >= share * top and abs(2 * s - steps + 1) < abs(2 * best - steps + 1):
-            best = s
-    return 1.0 + SPAN * (2.0 * best / (steps - 1) - 1.0), top
+        if z[s] < least:
+            continue
+        for between in range(last + 1 if s - last <= DIP else s, s + 1):
+            out[n] = _rate(between, steps)
+            n += 1
+        last = s
+    return out[:n]
+
+
+@numba.njit(cache=True, nogil=True)
+def _rate(step: float, steps: int) -> float:
+    return 1.0 + SPAN * (2.0 * step / (steps - 1) - 1.0)
+
+
+@numba.njit(cache=True, nogil=True)
+def _refined(z: Floats, at: int) -> tuple[float, float]:
+    """Return the rate and the height of a peak, by a parabola through it and its neighbours."""
+    steps = len(z)
+    if 0 < at < steps - 1:
+        bend = z[at - 1] - 2.0 * z[at] + z[at + 1]
+        slope = z[at - 1] - z[at + 1]
+        if bend < 0.0 and abs(slope) <= -bend:
+            return _rate(at + 0.5 * slope / bend, steps), z[at] - 0.125 * slope * slope / bend
+    return _rate(float(at), steps), z[at]
 
 
 @numba.njit(cache=True, nogil=True)
 def _spectrum(sums: Floats) -> Floats:
-    """Return z of a window at offsets from -SPAN to SPAN, in equal steps."""
+    """Return z of a window at offsets from -SPAN to SPAN, in equal steps, less RARE beyond COMMON."""
     blocks = sums.shape[0]
     off, lit = 0.0, 0.0
     for b in range(blocks):
@@ -161,6 +220,8 @@ def _spectrum(sums: Floats) -> Floats:
         offset = 2.0 * s / (steps - 1) - 1.0
         nearest_offset = round((offset + 1.0) * 0.5 * (BLOCK_OFFSETS - 1))
         z[s] = _coherence(sums, 1.0 + SPAN * offset, nearest_offset, off, lit)
+        beyond = min(max(abs(offset) * SPAN - COMMON, 0.0) / RAMP, 1.0)
+        z[s] = max(z[s] - beyond * RARE, 0.0)
     return z
 
 

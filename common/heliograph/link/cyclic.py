@@ -15,8 +15,9 @@ import numpy as np
 
 from heliograph.errors import Refusal, Refusals
 from heliograph.events import Flags, Times
-from heliograph.link import clock, demodulator, level, one_phase, scan_demodulator, scan_state, scans, state, trial
+from heliograph.link import clock, demodulator, one_phase, scan_demodulator, scans, state, trial
 from heliograph.link.acceptance import Acceptance, Place, evidence_of, frames_needed
+from heliograph.link.beginning import Beginner, Window
 from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Text, Verdict
 from heliograph.link.cyclic_blocks import ClockBlocks, Peaks
 from heliograph.link.frames import CyclicCode
@@ -41,7 +42,7 @@ class CyclicReceiver:
 
     Args:
         code: its words.
-        bit_rate: nominal bits a second; the beacon's own may differ by 2 %.
+        bit_rate: nominal bits a second; the beacon's own may differ by 5 %.
         read_periodic: accept words that are plain square waves; otherwise they are refused as PERIODIC.
     """
 
@@ -67,11 +68,10 @@ class CyclicReceiver:
         self._dark = 0  # blocks before it without events
         self._blocks = ClockBlocks(self._bit_us)
         self._scans = self._blocks.scans
+        self._beginner = Beginner(code, self._needed - 1, self._state, self._blocks)
         self._held_t: Times = np.empty(0, np.int64)
         self._held_on: Flags = np.empty(0, np.bool_)
         self._recent: deque[tuple[int, bool]] = deque(maxlen=8192)  # (end, accepted) of the last second's frames
-        self._folded = np.zeros((2, clock.SUB))
-        self._found = np.zeros(4)
 
     def feed(self, t_us: Times, on: Flags, until_us: int) -> list[LinkFrame | Text]:
         """Take the events before until_us (see the contract)."""
@@ -217,8 +217,8 @@ class CyclicReceiver:
                 # A young track may be a beacon whose word has few edges: 64 bits of it stay just below the threshold.
                 windows.append((2 * clock.SHORT_BLOCKS, clock.THRESHOLD_LONG))
             for blocks, threshold in windows:
-                peaks = self._blocks.peaks(blocks, min(blocks, (end_us - since_us) / block_us))
-                if max(z for _, z in peaks) >= threshold and self._lock(
+                peaks = self._blocks.peaks(blocks, min(blocks, (end_us - since_us) / block_us), threshold)
+                if max(found[0, 1] for found in peaks) >= threshold and self._lock(
                     peaks, threshold, end_us - blocks * block_us, end_us, blocks
                 ):
                     return True
@@ -259,8 +259,8 @@ class CyclicReceiver:
         if windows[0] < all_blocks and self._young(end_us, block_us):
             windows.append(min(all_blocks, clock.LONG_BLOCKS))
         for blocks in windows:
-            peaks = self._blocks.tried(blocks, more)
-            if max(z for _, z in peaks) < trial.THRESHOLD:
+            peaks = self._blocks.tried(blocks, more, trial.THRESHOLD)
+            if max(found[0, 1] for found in peaks) < trial.THRESHOLD:
                 continue
             begin_us = max(blocks_end_us - blocks * block_us, float(since_us))
             if self._lock(peaks, trial.THRESHOLD, begin_us, end_us, blocks, tried=True):
@@ -277,62 +277,24 @@ class CyclicReceiver:
         *,
         tried: bool = False,
     ) -> bool:
-        """Begin with a clock found in a window, if what was found is one; the events before it are dropped.
-
-        The edges of a level are no clock unless the bits between them show it; what is tried, unless its code repeats.
-        """
+        """Begin with a clock found in a window, if what was found is one; the events before it are dropped."""
         origin_us = int(np.floor(begin_us))
         start, stop = (int(i) for i in np.searchsorted(self._held_t, (begin_us, end_us)))
-        t = (self._held_t[start:stop] - origin_us) / self._bit_us
-        on, until = self._held_on[start:stop], (end_us - origin_us) / self._bit_us
-        last = -1e9 if self._frame_end_us is None else (self._frame_end_us - origin_us) / self._bit_us
-        (f, z), (f_level, z_level), (f_turns, z_turns) = peaks
-        if z_turns >= threshold and self._begin_scanned(t, on, until, f_turns, last, tried=tried):
-            return self._locked(origin_us, start)
-        moves = False
-        if z_level >= threshold:
-            edges_t, edges_on = self._blocks.level_edges(begin_us - origin_us, blocks)
-            clock.grid(edges_t, edges_on, f_level, until, self._found, self._folded)
-            moves = level.start(t, on, until, self._found, self._state.model, self._state.seen)
-        if not moves:
-            # Where scans are long, the turns go first, as soon as they have been seen for long enough.
-            seen_us = end_us - max(begin_us, float(self._since_us or 0))
-            if z < threshold or not (tried or self._scans.enough(seen_us / (clock.BLOCK_BITS * self._bit_us))):
-                return False
-            clock.grid(t, on, f, until, self._found, self._folded)
-        if tried:
-            if not trial.alike(t, on, until, self._found, self._code.bits, self._needed - 1):
-                return False
-            state.start(self._state, self._folded, self._found, last, self._code)
-            if not trial.repeats(t, on, until, self._state, self._needed - 1):
-                return False
-        state.start(self._state, None if moves else self._folded, self._found, last, self._code)
-        return self._locked(origin_us, start)
-
-    def _locked(self, origin_us: int, start: int) -> bool:
-        """Follow from here on; the held events before `start` are dropped."""
+        window = Window(
+            t=(self._held_t[start:stop] - origin_us) / self._bit_us,
+            on=self._held_on[start:stop],
+            until=(end_us - origin_us) / self._bit_us,
+            blocks=blocks,
+            begin_us=begin_us - origin_us,
+            last_end=-1e9 if self._frame_end_us is None else (self._frame_end_us - origin_us) / self._bit_us,
+            seen=(end_us - max(begin_us, float(self._since_us or 0))) / (clock.BLOCK_BITS * self._bit_us),
+        )
+        if not self._beginner.begin(window, peaks, threshold, tried=tried):
+            return False
         self._state.floats[state.READ_OUT] = one_phase.read_out(self._held_t[start:] / self._bit_us)
         self._drop(start)
         self._origin_us = origin_us
         self._locks += 1
-        return True
-
-    def _begin_scanned(self, t: clock.Floats, on: Flags, until: float, f: float, last: float, *, tried: bool) -> bool:
-        """Begin with a clock that the turns of scanned light show, as `_lock` does."""
-        if tried:
-            # What repeats does so wherever its slots begin.
-            clock.grid(t, on, f, until, self._found, self._folded)
-            if not trial.alike(t, on, until, self._found, self._code.bits, self._needed - 1):
-                return False
-        for trying in (True, False) if tried else (False,):
-            if not self._scans.begin(t, on, until, f, self._found):
-                return False
-            state.start(self._state, None, self._found, last, self._code)
-            self._state.ints[state.SLOT] = -scan_state.LAG
-            scanned = self._scans.scanned
-            if trying and not trial.repeats(t, on, until, self._state, self._needed - 1, scanned):
-                self._scans.scanned = None
-                return False
         return True
 
     def _follow(self, t_us: Times, on: Flags, until_us: int, out: list[LinkFrame | Text]) -> tuple[Times, Flags]:

@@ -10,11 +10,11 @@ import numpy as np
 
 from heliograph.events import Flags, Times
 from heliograph.link import clock, level
-from heliograph.link.cyclic_scans import ScanSearch
+from heliograph.link.cyclic_scans import ScanSearch, peaks
 
-# (f, z) of the events, of the level, of the turns.
-Peaks = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
-_NONE = (1.0, 0.0)
+# (n, 2) the rates f that the events, the level and the turns may show and the z of each, the highest first.
+Peaks = tuple[clock.Floats, clock.Floats, clock.Floats]
+_NONE: clock.Floats = np.array([[1.0, 0.0]])
 
 
 class ClockBlocks:
@@ -64,12 +64,13 @@ class ClockBlocks:
             t: clock.Floats = np.asarray((held_t[start:stop] - begin_us) / self._bit_us, np.float64)
             self.scans.take(t, held_on[start:stop])
 
-    def peaks(self, blocks: int, seen: float) -> Peaks:
+    def peaks(self, blocks: int, seen: float, threshold: float) -> Peaks:
         """Return what a window of the newest blocks shows, of which so many show the light."""
-        turns = self.scans.peak(blocks) if self.scans.enough(seen) else _NONE
-        return clock.peak(self._events[-blocks:]), clock.peak(self._level[-blocks:]), turns
+        turns = self.scans.peaks(blocks, threshold) if self.scans.enough(seen) else _NONE
+        events = peaks(self._events[-blocks:], threshold)
+        return events, np.array([clock.peak(self._level[-blocks:])]), turns
 
-    def tried(self, blocks: int, more: tuple[clock.Floats, Flags] | None) -> Peaks:
+    def tried(self, blocks: int, more: tuple[clock.Floats, Flags] | None, threshold: float) -> Peaks:
         """Return what a window shows that ends with the newest block or, where given, with events after it.
 
         What it shows will be believed only if the code repeats: so the level, which may be imagined, is left out.
@@ -79,7 +80,7 @@ class ClockBlocks:
             newest = np.zeros_like(self._events[:1])
             clock.block(*more, newest[0])
             events = np.concatenate([self._events[clock.LONG_BLOCKS - blocks + 1 :], newest])
-        return clock.peak(events), _NONE, self.scans.peak(blocks)
+        return peaks(events, threshold), _NONE, self.scans.peaks(blocks, threshold)
 
     def level_edges(self, begin_us: float, blocks: int) -> tuple[clock.Floats, Flags]:
         """Return the level's edges in the newest blocks, which begin at begin_us from the origin; in bits from it."""

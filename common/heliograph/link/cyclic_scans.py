@@ -3,7 +3,9 @@
 Beside the events of a block (`heliograph.link.cyclic`) the turns of the light (`heliograph.link.scans`) are summed,
 where the events are scans long enough to matter. They show the clock of a light whose bursts go on for more than a bit,
 and of one whose scans are half a bit. There, though, times on the grid of the scans, of rate s, are as coherent at
-s - f as at f; so where s is nearly 2, the rate nearest to the nominal is taken of those that are half as good.
+s - f as at f, and within what a window resolves about s / 2 both blur into one. So where s is nearly 2, the nominal
+rate, the peaks, and there all of the lobe are candidates, and what is read under each decides
+(`heliograph.link.beginning`).
 """
 
 from __future__ import annotations
@@ -16,14 +18,19 @@ from heliograph.events import Flags, Times
 from heliograph.link import clock, scan_lock, scan_state, scans
 from heliograph.link.scan_state import ScanState, new_scan_state
 
-# Where the grid of the scans mirrors the nominal rate within this span (and what a window resolves), any rate whose z
-# is half of the best may be the true one: times on the grid blur both into one.
-MIRRORED: Final = 0.04
+# Where the grid of the scans mirrors a rate of the span into the span, any peak may be the true one or its image; where
+# both blur, any rate whose z is half of the best.
+MIRRORED: Final = 2.0 * clock.SPAN
 AS_GOOD: Final = 0.5
+# Of what a window resolves, a peak this near to the nominal rate is its own.
+NOMINAL: Final = 0.25
 # A response must have been seen at all places of a scan in a bit, the more of them the longer the scan is: 16 blocks
 # where it is .44 bit or more (64 bits of a light at 2.5 kbit/s behind 199 us led to one that read half of the frames
 # and a quarter wrong, for good).
 WINDOW_BLOCKS_A_BIT: Final = 36.0
+
+# No rates: the events are no scans.
+_NONE: Final[clock.Floats] = np.array([[1.0, 0.0]])
 
 # Half the delay ON - OFF, in bits, is known but for half bits; a rise that much behind a fall is a fall that is late:
 # overexposed pixels fall one scan late, and half a bit either way would be a draw.
@@ -41,6 +48,7 @@ class ScanSearch:
         self._bit_us = bit_us
         self.scanned: ScanState | None = None  # of the present lock, or of one on trial
         self._kept: ScanState | None = None
+        self.fit: clock.Floats = np.empty(0)  # of the scans of the window begun with (`heliograph.link.scan_lock`)
         self._quantum = 0.0  # length of a scan in bits; 0 while the events are not known to be scans
         self._turn = np.zeros(scans.FIELDS)
         self._sums = np.zeros((clock.LONG_BLOCKS, clock.SUMS))
@@ -75,13 +83,19 @@ class ScanSearch:
         """Return whether so many blocks of the light may show its response; True where the events are no scans."""
         return seen >= min(WINDOW_BLOCKS_A_BIT * self._quantum, clock.LONG_BLOCKS)
 
-    def peak(self, blocks: int) -> tuple[float, float]:
-        """Return the rate that the turns of the newest blocks show, and its z; z = 0 where there are no scans."""
+    def peaks(self, blocks: int, threshold: float) -> clock.Floats:
+        """Return (n, 2) the rates that the newest blocks' turns may show, and z; z = 0 where there are no scans."""
         if not self.known:
-            return 1.0, 0.0
+            return _NONE
         newest = self._sums[-blocks:]
-        mirrored = abs(1.0 / self._quantum - 2.0) < MIRRORED
-        return clock.nearest(newest, AS_GOOD) if mirrored else clock.peak(newest)
+        found = peaks(newest, threshold)
+        if abs(1.0 / self._quantum - 2.0) >= MIRRORED or found[0, 1] < threshold:
+            return found
+        # Most clocks are the nominal, far nearer than a window resolves (begun with .17 % off, some drifted away).
+        rates = np.append(1.0, found[np.abs(found[:, 0] - 1.0) > NOMINAL / (blocks * clock.BLOCK_BITS), 0])
+        if np.abs(found[:, 0] - 0.5 / self._quantum).min() < 1.0 / (blocks * clock.BLOCK_BITS):
+            rates = np.concatenate([rates, clock.lobes(newest, AS_GOOD)])
+        return np.column_stack([rates, np.full(len(rates), found[0, 1])])
 
     def begin(self, t: clock.Floats, on: Flags, until: float, f: float, found: clock.Floats) -> bool:
         """Begin with a clock that the turns of a window show.
@@ -97,8 +111,9 @@ class ScanSearch:
             Whether the window's events are scans.
         """
         found_t, found_on = np.empty(len(t)), np.empty(len(t), np.bool_)
-        self._turn[scans.UP : scans.USUAL_OFF] = 0.0
-        n = scans.turns(t, on, self._turn, found_t, found_on)
+        turn = self._turn.copy()
+        turn[scans.UP : scans.USUAL_OFF] = 0.0
+        n = scans.turns(t, on, turn, found_t, found_on)
         if n == 0:
             return False
         if self._kept is None:
@@ -107,11 +122,13 @@ class ScanSearch:
         if found[2] > LATE:
             found[2] -= 0.5
             found[0] -= 0.5 * found[1]
-        if not scan_lock.begin(self._kept, t, on, until, found, found_t[:n], found_on[:n]):
+        fit = scan_lock.begin(self._kept, t, on, until, found, found_t[:n], found_on[:n])
+        if fit is None:
             return False
+        self.fit = fit
         self.scanned = self._kept
         self.scanned.turn[:] = 0.0
-        self.scanned.turn[scans.USUAL_OFF : scans.SWING] = self._turn[scans.USUAL_OFF : scans.SWING]
+        self.scanned.turn[scans.USUAL_OFF : scans.SWING] = turn[scans.USUAL_OFF : scans.SWING]
         return True
 
     def ended(self, until: float) -> int:
@@ -129,3 +146,9 @@ class ScanSearch:
         burst = 0.5 * float(scanned.turn[scans.USUAL_OFF] + scanned.turn[scans.USUAL_ON])
         quiet = 0.5 * float(scanned.rate[[0, -1]].sum()) / clock.SUB
         return burst, quiet / float(scanned.floats[scan_state.QUANTUM])
+
+
+def peaks(sums: clock.Floats, threshold: float) -> clock.Floats:
+    """Return (n, 2) the rates that a window of these blocks may show, and z, as `clock.peaks` finds them."""
+    found = np.empty((clock.PEAKS, 2))
+    return found[: clock.peaks(sums, threshold, found)]

@@ -27,4 +27,4 @@ def warm() -> None:
         receiver.feed(times_us[order], on[order], 700_000)
         receiver.flush()
     # What scans of half a bit ask for besides.
-    clock.nearest(np.zeros((clock.LONG_BLOCKS, clock.SUMS)), AS_GOOD)
+    clock.lobes(np.zeros((clock.LONG_BLOCKS, clock.SUMS)), AS_GOOD)

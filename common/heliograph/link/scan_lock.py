@@ -2,7 +2,8 @@
 
 The bits between the window's turns are known, if only nearly (a turn may have been missed, a burst's end be taken for
 one). They give a first response (`heliograph.link.scan_response`), the response better bits (Viterbi over the window,
-any bits equally likely), and these a better response, ROUNDS times.
+any bits equally likely), and these a better response, ROUNDS times. How likely the window's scans are with the last
+tells clocks apart that are all read (`heliograph.link.beginning`): one that is a little off blurs the response.
 """
 
 from __future__ import annotations
@@ -59,16 +60,17 @@ def _viterbi(likely: Floats, bits: Ints) -> None:
     bits[0] = at & 1
 
 
-def _entry(sources: int) -> Callable[..., float]:
+def _entry(sources: int) -> Callable[..., tuple[float, Floats]]:
     """Return `learn`, cached under these sources (`heliograph.link.stamp`)."""
 
     @numba.njit(cache=True, nogil=True)
     def kernel(
         rows: Floats, turn_t: Floats, turn_on: Flags, first: float, period: float, rate: Floats, weight: Floats
-    ) -> float:
-        """See `begin`; rows (n, 3) are all scans of the window."""
+    ) -> tuple[float, Floats]:
+        """See `begin`; rows (n, 3) are all scans of the window. Return a burst's events and each's log-likelihood."""
         slots = min(int((rows[-1, 0] - first) / period + 0.5) + 1, _SLOTS) if sources >= 0 else 0
         placed = np.empty((len(rows), 4))
+        row_of = np.empty(len(rows), np.int64)
         n = 0
         per_slot = np.zeros(slots, np.int64)
         grouped = np.zeros((slots, scan_state.ROOM, 3))
@@ -79,6 +81,7 @@ def _entry(sources: int) -> Callable[..., float]:
                 continue
             k = min(int((place - s) * SUB), SUB - 1)
             placed[n, 0], placed[n, 1], placed[n, 2], placed[n, 3] = s, k, rows[j, 1], rows[j, 2]
+            row_of[n] = j
             n += 1
             if per_slot[s] < scan_state.ROOM:
                 here = grouped[s, per_slot[s]]
@@ -96,9 +99,18 @@ def _entry(sources: int) -> Callable[..., float]:
                 scan_demodulator.temper(loglikelihood, likely[s])
             _viterbi(likely, bits)
         scan_response.guess(bits, 2, placed[:n], rate, weight)
-        return scan_response.tabulate(rate, full, logs)
+        burst = scan_response.tabulate(rate, full, logs)
+        f = max(1.0, burst / scan_response.WITNESSES)
+        fit = np.zeros(len(rows))
+        for j in range(n):
+            s, k = int(placed[j, 0]), int(placed[j, 1])
+            if s >= 2:
+                x = 8 * bits[s - 2] + 4 * bits[s - 1] + 2 * bits[s] + bits[s + 1]
+                for p in range(2):
+                    fit[row_of[j]] += (placed[j, 2 + p] * logs[x, p, k] - full[x, p, k]) / f
+        return burst, fit
 
-    return cast("Callable[..., float]", kernel)
+    return cast("Callable[..., tuple[float, Floats]]", kernel)
 
 
 _KERNEL: Final = _entry(stamp(clock, scan_demodulator, scan_response, scan_state, scans, state_module))
@@ -106,7 +118,7 @@ _KERNEL: Final = _entry(stamp(clock, scan_demodulator, scan_response, scan_state
 
 def begin(
     scanned: scan_state.ScanState, t: Floats, on: Flags, until: float, found: Floats, turn_t: Floats, turn_on: Flags
-) -> bool:
+) -> Floats | None:
     """Begin with a clock that turns have shown.
 
     Args:
@@ -119,17 +131,18 @@ def begin(
         turn_on: (m,) True where the light turned up.
 
     Returns:
-        Whether the events are scans; otherwise nothing is set.
+        How likely each of the window's scans is, in nats, up to a constant of its own: (m,), the same scans for every
+        clock. None where the events are no scans; then nothing is set.
     """
     at, counts = np.empty(len(t)), np.empty((len(t), 2))
     n = scans.group(t, on, at, counts)
     at, counts = at[:n], counts[:n]
     q = scans.quantum(at)
     if q == 0.0 or len(turn_t) == 0:
-        return False
+        return None
     rows = scans.all_scans(at, counts, q, until)
     first, period = float(found[0]), float(found[1])
-    burst = _KERNEL(rows, turn_t, turn_on, first, period, scanned.rate, scanned.weight)
+    burst, fit = _KERNEL(rows, turn_t, turn_on, first, period, scanned.rate, scanned.weight)
     scan_response.tabulate(scanned.rate, scanned.full, scanned.log_rate)
     scanned.floats[:] = 0.0
     scanned.floats[scan_state.QUANTUM] = q
@@ -140,4 +153,4 @@ def begin(
     scanned.turned[:] = 0.0
     scanned.before[:] = 0.125
     scanned.likely[:] = 1.0
-    return True
+    return fit

@@ -35,6 +35,7 @@ THRESHOLD: Final = 4.5
 REPEATS_LEAST: Final = 2
 # A word that repeats shows nearly 1 (bursts differ), a beam that comes and goes less; random bits 0 +- 1 / sqrt(2 n).
 LIKENESS: Final = 0.5
+NOT_ALIGNED: Final = -1e9
 
 
 @numba.njit(cache=True, nogil=True)
@@ -96,6 +97,28 @@ def repeats(
         wanted: how many equal frames.
         scanned: begun with the lock, where the light is scanned; changed.
     """
+    if trust(t, on, until, at, scanned) == NOT_ALIGNED:
+        return False
+    newest = at.out[: at.ints[state.OUT]][-max(wanted, REPEATS_LEAST) :]
+    if len(newest) < max(wanted, REPEATS_LEAST):
+        return False
+    code, slot, bits = newest[:, state.OUT_CODE], newest[:, state.OUT_SLOT], at.words.shape[1]
+    return bool(code[0] >= 0 and (code == code[0]).all() and (slot[1:] - slot[:-1] == bits).all())
+
+
+def trust(t: Floats, on: Flags, until: float, at: state.State, scanned: scan_state.ScanState | None = None) -> float:
+    """Return how surely the frames of a window are in their place at its end: A of `heliograph.link.alignment`, nats.
+
+    Args:
+        t: (n,) as of `repeats`.
+        on: likewise.
+        until: likewise.
+        at: likewise.
+        scanned: likewise.
+
+    Returns:
+        NOT_ALIGNED where they have no place.
+    """
     while True:
         if scanned is None:
             outcome, taken = demodulator.advance(t, on, until, at)
@@ -105,13 +128,8 @@ def repeats(
             break
         t, on = t[taken:], on[taken:]
         at.ints[state.OUT] = 0
-    if outcome == demodulator.LOST or at.ints[state.ALIGNED] < 0:
-        return False
-    newest = at.out[: at.ints[state.OUT]][-max(wanted, REPEATS_LEAST) :]
-    if len(newest) < max(wanted, REPEATS_LEAST):
-        return False
-    code, slot, bits = newest[:, state.OUT_CODE], newest[:, state.OUT_SLOT], at.words.shape[1]
-    return bool(code[0] >= 0 and (code == code[0]).all() and (slot[1:] - slot[:-1] == bits).all())
+    placed = outcome == demodulator.DONE and at.ints[state.ALIGNED] >= 0
+    return float(at.floats[state.TRUST]) if placed else NOT_ALIGNED
 
 
 def warm() -> None:
