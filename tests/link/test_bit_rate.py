@@ -37,6 +37,13 @@ def test_a_word_of_nearly_equal_runs_has_its_own_rate() -> None:
     assert found(likely_bit_rates(what.t_us, what.on), 100.0)
 
 
+@pytest.mark.parametrize("weaker", [True, False], ids=["rises", "falls"])
+def test_the_rate_is_found_where_changes_of_one_kind_make_a_fifth_of_the_others_events(weaker: bool) -> None:
+    what = seen(Light(events=60.0), repeated(modulation("seed11").encode(42), 60), 1000.0, 1)
+    kept = (what.on != weaker) | (np.random.default_rng(1).random(len(what.on)) < 0.2)
+    assert found(likely_bit_rates(what.t_us[kept], what.on[kept]), 1000.0)
+
+
 @pytest.mark.parametrize("payload", [2, 5, 42])
 def test_fifty_bits_a_second_are_named_within_a_second(payload: int) -> None:
     what = seen(Light(), repeated(modulation("seed11").encode(payload), 6), 50.0, 1)

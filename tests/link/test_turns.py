@@ -40,3 +40,14 @@ def test_bursts_of_like_size_are_all_found(bursts: list[int], first: bool) -> No
     assert at.tolist() == np.concatenate([[0], np.cumsum(bursts)[:-1]]).tolist()
     assert np.abs(swing).tolist() == bursts
     assert (swing > 0).tolist() == on[at].tolist()
+
+
+@settings(max_examples=60)
+@given(bursts=st.lists(st.integers(3, 5), min_size=2, max_size=40), more=st.integers(1, 8), rise=st.booleans())
+def test_bursts_are_found_where_one_polarity_makes_several_times_as_many_events(
+    bursts: list[int], more: int, rise: bool
+) -> None:
+    sizes = [n * more if (k % 2 == 0) == rise else n for k, n in enumerate(bursts)]
+    on = np.concatenate([np.full(n, k % 2 == 0) for k, n in enumerate(sizes)])
+    at, _ = turns(on, 1 / 3, by_first=True, balanced=True)
+    assert at.tolist() == np.concatenate([[0], np.cumsum(sizes)[:-1]]).tolist()

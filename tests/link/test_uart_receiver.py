@@ -48,6 +48,13 @@ def test_a_scanned_sensor_reads_up_to_a_fifth_of_a_bit_a_scan(bit_rate: float) -
     assert edits(TEXT, joined(out)) <= 1
 
 
+@pytest.mark.parametrize("weaker", [True, False], ids=["rises", "falls"])
+def test_changes_of_one_kind_may_make_a_fifth_of_the_others_events(weaker: bool) -> None:
+    seen = watch_text(TextLight(events=60), TEXT, 1000.0, seed=11)
+    kept = (seen.on != weaker) | (np.random.default_rng(1).random(len(seen.on)) < 0.2)
+    assert joined(hear(Uart().receiver(1000.0), Watched(seen.t_us[kept], seen.on[kept], seen.until_us))) == TEXT
+
+
 def test_noise_of_half_the_lights_own_events_costs_hardly_a_character() -> None:
     out = hear(Uart().receiver(504.0), watch_text(TextLight(noise_hz=2500.0), TEXT, 504.0, seed=5))
     assert edits(TEXT, joined(out)) <= 1

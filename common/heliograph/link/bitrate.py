@@ -99,7 +99,7 @@ def likely_bit_rates(t_us: Times, on: Flags, f_min: float = F_MIN, f_max: float 
 
 def _changes(t_us: Times, on: Flags, share: float, *, by_first: bool) -> tuple[Floats, Flags]:
     """Return the times of the light's changes, at most `CHANGES`, and whether they are rises; they alternate."""
-    at, swing = turns(on, share, by_first=by_first)
+    at, swing = turns(on, share, by_first=by_first, balanced=True)
     return t_us[at[-CHANGES:]].astype(np.float64), swing[-CHANGES:] > 0.0
 
 

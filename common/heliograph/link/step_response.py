@@ -344,9 +344,11 @@ class StepResponse:
         """Return whether each kind of change that was seen looks like one: a rise by ON events, a fall by OFF events.
 
         A periodic signal is consistent with words that it does not send, where the response is learned to fit: some
-        of their changes then come without events.
+        of their changes then come without events. Polarities are balanced (`heliograph.link.turns`).
         """
-        signed = self._sums[0].sum(axis=1) - self._sums[1].sum(axis=1)
+        by_polarity = self._sums.sum(axis=2)
+        on, off = by_polarity.sum(axis=1)
+        signed = by_polarity[0] * (off / max(on, 1.0)) - by_polarity[1]
         seen = self._seen.reshape(-1, 8).sum(axis=0)
         per_change = signed.reshape(-1, 8).sum(axis=0) / np.maximum(seen, 1.0)
         changes = [(1.0, 0b001), (1.0, 0b101), (-1.0, 0b010), (-1.0, 0b110)]

@@ -128,7 +128,7 @@ def _count_good(counts: Counts, start: int, found: list[tuple[int, int]], slots:
 
 def _turns(counts: Counts) -> int:
     """Return how often the light turns in these sub-bins; within one, ON comes first."""
-    at, _ = turns(np.repeat(np.tile(ON_OFF, len(counts)), counts.ravel()), TURN, by_first=True)
+    at, _ = turns(np.repeat(np.tile(ON_OFF, len(counts)), counts.ravel()), TURN, by_first=True, balanced=True)
     return len(at)
 
 
