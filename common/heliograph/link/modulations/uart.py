@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from heliograph.link.contract import Bits, Receiver
-from heliograph.link.text_receiver import TextReceiver, warm
+from heliograph.link.text_receiver import warm
+from heliograph.link.uart_clock import ClockedTextReceiver
 from heliograph.link.uart_layout import text_bits
 
 __all__ = ["Uart", "warm"]
@@ -31,7 +32,7 @@ class Uart:
             ValueError: the name is none of `RECEIVERS`, or the bit rate is out of range.
         """
         if name == "default":
-            return TextReceiver(bit_rate)
+            return ClockedTextReceiver(bit_rate)
         if name == "wang2022":
             from heliograph.link.wang2022 import WangReceiver  # noqa: PLC0415 - a kernel that only comparisons need
 

@@ -1,0 +1,115 @@
+"""Text of beacons whose clock is off: the bit rate is measured before framing is looked for.
+
+The cold start (`heliograph.link.uart_lock`) explains sixteen characters with bits of a given length, and half a per
+cent too long is .06 bit at a character's end. So while nothing is read, the light's own bit rate is looked for in every
+WINDOW_BLOCKS blocks of 16 bits since it came (`heliograph.link.clock`, +-5 %), just before the first cold start. Where
+it shows, and lies more than OFF from the rate that is tried, a receiver of text of the measured rate takes over, with
+the window's events. The nominal one does all that a beacon of a good clock needs: for it nothing changes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from heliograph.events import Flags, Times
+from heliograph.link import clock
+from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Text, Verdict
+from heliograph.link.text_receiver import NEVER_US, TextReceiver
+from heliograph.units import bit_us
+
+# 160 bits: the cold start takes 176.
+WINDOW_BLOCKS: Final = 10
+# Of the bit rate: what the cold start and its clock make up for; crystals keep a fiftieth of it.
+OFF: Final = 0.005
+# Events of a window at most, as in `heliograph.link.cyclic`.
+WINDOW_EVENTS: Final = 1_000_000
+
+
+class ClockedTextReceiver:
+    """Reads one track; obeys `heliograph.link.contract.Receiver`.
+
+    Args:
+        bit_rate: nominal bits a second; the beacon's own may differ by 5 %.
+
+    Raises:
+        ValueError: the bit rate is out of range.
+    """
+
+    def __init__(self, bit_rate: float) -> None:
+        self._bit_rate = bit_rate
+        self._bit_us = bit_us(bit_rate)
+        self._f = 1.0  # bits a nominal bit of the receiver that reads
+        self._text = TextReceiver(bit_rate)
+        self.refusals = self._text.refusals
+        self._begin_us: int | None = None  # of the window; None until there is light to look at
+        self._t_us: Times = np.empty(0, np.int64)
+        self._on: Flags = np.empty(0, np.bool_)
+
+    def feed(self, t_us: Times, on: Flags, until_us: int) -> list[LinkFrame | Text]:
+        """Take events and return what they decide; see the contract."""
+        out: list[LinkFrame | Text] = []
+        while self._text.due_us() == NEVER_US:
+            if self._begin_us is None:
+                if not len(t_us):
+                    break
+                self._begin_us = int(t_us[0])
+            end_us = self._begin_us + int(WINDOW_BLOCKS * clock.BLOCK_BITS * self._bit_us)
+            stop = int(np.searchsorted(t_us, min(end_us, until_us)))
+            self._t_us = np.concatenate([self._t_us, t_us[:stop]])[:WINDOW_EVENTS]
+            self._on = np.concatenate([self._on, on[:stop]])[:WINDOW_EVENTS]
+            if until_us < end_us:
+                break
+            out += self._text.feed(t_us[:stop], on[:stop], end_us)
+            t_us, on = t_us[stop:], on[stop:]
+            if self._text.due_us() == NEVER_US:
+                out += self._look(self._begin_us, end_us)
+            self._forget()
+        return out + self._text.feed(t_us, on, until_us)
+
+    def due_us(self) -> int:
+        """Return when something may be decided; see the contract."""
+        return self._text.due_us()
+
+    def flush(self) -> list[LinkFrame | Text]:
+        """Decide what is still held, as if silence followed."""
+        return self._text.flush()
+
+    def identity(self) -> Identity | None:
+        """Return the accepted identity (its payload is None: text), or None."""
+        return self._text.identity()
+
+    def verdict(self, now_us: int) -> Verdict:
+        """Return what the track is at now_us."""
+        return self._text.verdict(now_us)
+
+    def quality(self, now_us: int) -> LinkQuality:
+        """Return how well the last second was read."""
+        quality = self._text.quality(now_us)
+        if quality.clock_ppm is None:
+            return quality
+        return replace(quality, clock_ppm=(quality.bit_rate / self._bit_rate - 1.0) * 1e6)
+
+    def _forget(self) -> None:
+        self._begin_us = None
+        self._t_us, self._on = self._t_us[:0], self._on[:0]
+
+    def _look(self, begin_us: int, end_us: int) -> list[LinkFrame | Text]:
+        """Look at a whole window; where it shows another rate than is tried, try that one from its beginning on."""
+        t: clock.Floats = np.asarray((self._t_us - begin_us) / self._bit_us, np.float64)
+        sums = np.zeros((WINDOW_BLOCKS, clock.SUMS))
+        cuts = np.searchsorted(t, np.arange(WINDOW_BLOCKS + 1) * float(clock.BLOCK_BITS))
+        for b in range(WINDOW_BLOCKS):
+            own = slice(cuts[b], cuts[b + 1])
+            clock.block(t[own] - b * clock.BLOCK_BITS, self._on[own], sums[b])
+        f, z = clock.peak(sums)
+        rate = f if abs(f - 1.0) > OFF else 1.0
+        if z < clock.THRESHOLD_LONG or abs(rate - self._f) <= OFF:
+            return []
+        self._f = rate
+        self._text = TextReceiver(self._bit_rate * rate)
+        self._text.refusals.update(self.refusals)
+        self.refusals = self._text.refusals
+        return self._text.feed(self._t_us, self._on, end_us)

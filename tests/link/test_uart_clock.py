@@ -1,0 +1,49 @@
+"""Text of beacons whose clock is off: found at the nominal rate, while good clocks are read as ever."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from heliograph.link.modulations.uart import Uart
+from heliograph.link.text_receiver import TextReceiver
+from heliograph.link.uart_clock import ClockedTextReceiver
+from support.text_light import TextLight, edits, hear, joined, watch_text
+
+NOMINAL = 2000.0
+TEXT = "The quick brown fox jumps over the lazy dog; 42 of them.\n" * 4
+
+
+@pytest.mark.parametrize("percent", [-5.0, -2.0, 2.0, 5.0])
+def test_text_is_read_though_the_clock_is_off(percent: float) -> None:
+    seen = watch_text(TextLight(), TEXT, NOMINAL * (1.0 + 0.01 * percent), 3)
+    receiver = Uart().receiver(NOMINAL)
+    assert edits(TEXT, joined(hear(receiver, seen))) <= 3
+    assert receiver.identity() is not None
+    assert receiver.quality(int(seen.t_us[-1])).clock_ppm == pytest.approx(1e4 * percent, abs=1500.0)
+
+
+@settings(max_examples=5, deadline=None)
+@given(st.integers(0, 99), st.floats(-0.1, 0.1))
+def test_a_good_clock_is_read_as_without_the_search(seed: int, percent: float) -> None:
+    seen = watch_text(TextLight(), TEXT[:120], NOMINAL * (1.0 + 0.01 * percent), seed)
+    assert hear(ClockedTextReceiver(NOMINAL), seen) == hear(TextReceiver(NOMINAL), seen)
+
+
+@settings(max_examples=5, deadline=None)
+@given(st.lists(st.integers(1_000_000, 1_500_000), max_size=6))
+def test_nothing_depends_on_how_the_input_is_cut(cuts: list[int]) -> None:
+    seen = watch_text(TextLight(), TEXT[:120], NOMINAL * 1.04, 5)
+    assert hear(ClockedTextReceiver(NOMINAL), seen, sorted(cuts)) == hear(ClockedTextReceiver(NOMINAL), seen)
+
+
+def test_silence_and_noise_keep_the_nominal_rate() -> None:
+    rng = np.random.default_rng(1)
+    receiver = ClockedTextReceiver(NOMINAL)
+    t_us = np.sort(rng.integers(0, 2_000_000, 4000))
+    assert receiver.feed(t_us, rng.random(4000) < 0.5, 2_000_000) == []
+    assert receiver.feed(t_us[:0], np.empty(0, np.bool_), 9_000_000) == []
+    assert receiver.identity() is None
+    assert receiver.quality(9_000_000).bit_rate == pytest.approx(NOMINAL)
