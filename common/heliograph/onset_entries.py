@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -53,3 +54,28 @@ class OnsetColumns:
     gated: int
     flooded: int
     off_sensor: int
+
+    def later(self, ticks: int) -> OnsetColumns:
+        """Return the same, so many ticks later."""
+        return self if ticks == 0 else replace(self, tick=(self.tick + ticks).astype(np.uint16))
+
+
+def joined(parts: Sequence[OnsetColumns]) -> OnsetColumns:
+    """Return the entries of all parts, whose ticks follow one another; none of no parts."""
+    if len(parts) == 1:
+        return parts[0]
+
+    def column(name: str, kind: type[np.generic]) -> npt.NDArray[Any]:
+        return np.concatenate([np.empty(0, kind), *(getattr(part, name) for part in parts)])
+
+    return OnsetColumns(
+        column("tick", np.uint16),
+        column("x_px", np.uint16),
+        column("y_px", np.uint16),
+        column("on_count", np.uint8),
+        column("off_count", np.uint8),
+        column("light", np.bool_),
+        gated=sum(part.gated for part in parts),
+        flooded=sum(part.flooded for part in parts),
+        off_sensor=sum(part.off_sensor for part in parts),
+    )

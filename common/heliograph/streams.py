@@ -31,7 +31,7 @@ from msgspec import Meta
 
 from heliograph.events import EventBatch, checked
 from heliograph.messages import WINDOW_LIMIT_US, Message, Name, Side, TimeUs
-from heliograph.onset_columns import pack_columns, unpack_columns
+from heliograph.onset_columns import QUICKEST, SMALLEST, pack_columns, unpack_columns
 
 # A message of more events than this is split by the source (10k events are 81 kB); receivers allow what a burst of
 # the fastest sensor puts into one window, and refuse beyond.
@@ -225,18 +225,18 @@ class Onsets(Message, frozen=True, kw_only=True):
             ValueError: a tick has more than 65535 entries, or they do not rise.
         """
         head = {name: getattr(self, name) for name in _Window.__struct_fields__}
-        steps, columns = self.zipped or self._zip()
+        steps, columns = self.zipped or self._zip(QUICKEST)
         n = len(self.tick)
         return head | {"tick_us": self.tick_us, "pool_px": self.pool_px, "n": n, "steps": steps, "columns": columns}
 
     def packed(self) -> Onsets:
-        """Return this record with its columns packed, which a sender does once; raises as `to_body`."""
-        return msgspec.structs.replace(self, zipped=self._zip())
+        """Return this record with its columns packed as for a slow link, once; raises as `to_body`."""
+        return msgspec.structs.replace(self, zipped=self._zip(SMALLEST))
 
-    def _zip(self) -> tuple[int, bytes]:
+    def _zip(self, level: int) -> tuple[int, bytes]:
         per_tick = np.bincount(self.tick, minlength=self.ticks)
         row = -(-self.width // self.pool_px)
-        return pack_columns(per_tick, self.x_px, self.y_px, self.on_count, self.off_count, row)
+        return pack_columns(per_tick, self.x_px, self.y_px, self.on_count, self.off_count, row, level)
 
     @classmethod
     def from_body(cls, body: dict[str, Any]) -> Self:

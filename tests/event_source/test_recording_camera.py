@@ -60,7 +60,7 @@ def test_a_loop_goes_on_in_time_without_end(tmp_path: Path) -> None:
     path = recording(tmp_path, [5_500, 6_000, 9_100])
     stream = iter(opened(path, LIVE, loop=True))
     times: list[int] = []
-    taken = [next(stream) for _ in range(9)]
+    taken = [next(stream) for _ in range(2 * 9)]
     for step in taken:
         times += events_of(step.messages).t_us.tolist()
         assert not step.end
@@ -85,7 +85,7 @@ def test_a_jump_of_the_clock_begins_a_new_stream_and_is_counted(tmp_path: Path) 
     path = recording(tmp_path, [0, 1_000, years, years + 1_000])
     stream = opened(path, LIVE)
     all_steps = list(stream)
-    assert [step.t1_us for step in all_steps] == [2_000, years // 2_000 * 2_000 + 2_000]
+    assert list(dict.fromkeys(step.t1_us for step in all_steps)) == [2_000, years // 2_000 * 2_000 + 2_000]
     names_seen = [m.stream for s in all_steps for m in s.messages if isinstance(m, Events)]
     assert len(set(names_seen)) == 2
     assert stream.refusals == {Refusal.TIME_JUMP: 1}

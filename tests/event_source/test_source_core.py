@@ -15,6 +15,7 @@ from heliograph.events import EventBatch, concatenate
 from heliograph.messages import Message
 from heliograph.streams import Events, Onsets
 from heliograph.wire import pack_body
+from heliograph_services.event_source import core as source_core
 from heliograph_services.event_source.cameras.contract import Window
 from heliograph_services.event_source.cameras.windows import Cutter, stream_name
 from heliograph_services.event_source.config import EventSourceConfig
@@ -38,6 +39,30 @@ def feed_all(config: EventSourceConfig, batch: EventBatch, cuts: list[int] | Non
     for i, (t0_us, t1_us, part) in enumerate(windows):
         out += core.feed(Window(t0_us, t1_us, part, "s", end=i == len(windows) - 1))
     return out
+
+
+@pytest.mark.parametrize("tick_us", [500, 1_000, 5_000])
+def test_onsets_are_the_same_if_counted_tick_by_tick_or_a_message_at_once(
+    tick_us: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def bodies(counted_at: int) -> list[bytes]:
+        monkeypatch.setattr(source_core, "COUNTED_AT", counted_at)
+        config = EventSourceConfig(window_us=500, tick_us=tick_us)
+        return [pack_body(m) for m in feed_all(config, BATCH) if isinstance(m, Onsets)]
+
+    assert bodies(0) == bodies(100) == bodies(10**9)
+
+
+def test_the_events_of_a_window_do_not_wait_for_what_else_is_made_of_it() -> None:
+    batch = BATCH.part(0, int(np.searchsorted(BATCH.t_us, -20_000)))
+    window = Window(-30_000, -20_000, batch, "s")
+    core, whole = (SourceCore(EventSourceConfig(), CameraInfo(WIDTH, HEIGHT)) for _ in range(2))
+    parts = core.parts(window)
+    assert [m.SCHEMA for m in next(parts)] == ["events"]
+    assert core.counters["onsets"] == 0
+    assert [m.SCHEMA for m in next(parts)] == ["onsets"]
+    assert [m.SCHEMA for m in whole.feed(window)] == ["events", "onsets"]
+    assert core.counters == whole.counters
 
 
 @given(st.lists(st.integers(0, len(BATCH)), max_size=8), st.sampled_from([700, 2_000, 10_000]))

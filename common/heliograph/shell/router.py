@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from heliograph.errors import ConfigError
-from heliograph.shell.process import Stop
+from heliograph.shell.process import Stop, wake_promptly
 from heliograph.shell.run import guarded
 from heliograph.shell.site import RouterLinks, load_site
 
@@ -37,6 +37,7 @@ def _route(path: str, stop: Stop) -> int:
     site = load_site(path)
     if site.router is None:
         raise ConfigError(f"{path}: no [router]: this host uses somebody else's")
+    wake_promptly()
     with connected(router_config(site.router, site.bus), site.site, f"router/{site.host}", stop) as bus:
         if bus is None:
             return 0

@@ -20,7 +20,13 @@ import msgspec
 
 from heliograph.errors import ConfigError, HeliographError
 from heliograph.shell.config import add_flags, given_flags, resolve
-from heliograph.shell.process import Stop, end_with_parent, keep_kernels, keep_out_of_collections
+from heliograph.shell.process import (
+    Stop,
+    end_with_parent,
+    keep_kernels,
+    keep_out_of_collections,
+    wake_promptly,
+)
 from heliograph.shell.site import BusLinks, ServiceEntry, Site, load_site
 
 if TYPE_CHECKING:
@@ -44,6 +50,7 @@ class Service(Generic[ConfigT]):
         make: makes the core; imports what is heavy, warms kernels.
         inputs: schema -> whether it is the camera's (then only the configured camera's are read).
         paced_by: the input that carries the camera's time, gated in lockstep and followed by progress; "" for none.
+        urgent: whether it lies on the way from a light to its reader, and is woken before others.
         extra_schemas: records that are not in `heliograph.wire.SCHEMAS`, as "module:attribute" of a table.
     """
 
@@ -53,6 +60,7 @@ class Service(Generic[ConfigT]):
     make: Callable[[ConfigT, Context], Core]
     inputs: Mapping[str, bool]
     paced_by: str = ""
+    urgent: bool = False
     extra_schemas: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -131,6 +139,8 @@ def main_of(service: Service[Any], argv: Sequence[str] | None = None) -> int:
 
     def work(stop: Stop) -> int:
         launch = launch_of(service.kind, service.about, service.config, argv)
+        if service.urgent:
+            wake_promptly()
         return _serve(service, launch, stop)
 
     return guarded(work)

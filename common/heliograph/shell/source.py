@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import msgspec
 
-from heliograph.shell.process import Stop
+from heliograph.shell.process import Stop, wake_promptly
 from heliograph.shell.run import guarded, launch_of
 
 if TYPE_CHECKING:
@@ -68,6 +68,7 @@ def main_of_source(source: Source[Any], argv: Sequence[str] | None = None) -> in
         launch = launch_of(source.kind, source.about, source.config, argv)
         from heliograph.shell.pace import serve  # noqa: PLC0415 - zenoh and numpy, not needed for --help
 
+        wake_promptly()
         return serve(source, launch, stop)
 
     return guarded(work)

@@ -35,6 +35,7 @@ SERVICE: Final = Service(
     make=_make,
     inputs={"events": True, "tracks": True},
     paced_by="events",
+    urgent=True,
 )
 
 

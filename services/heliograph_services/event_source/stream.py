@@ -35,10 +35,12 @@ class SourceStream:
     Args:
         camera: opened; closed when the iteration ends or is given up.
         core: what makes records of its windows; its refusals, counters and gauges are the stream's.
+        whole: a step a window; otherwise two: its events, which do not wait for the making of the rest, and the rest.
     """
 
-    def __init__(self, camera: Camera, core: SourceCore) -> None:
+    def __init__(self, camera: Camera, core: SourceCore, *, whole: bool = True) -> None:
         self.camera = camera
+        self._whole = whole
         self.core = core
         self.refusals = core.refusals
         self.counters = core.counters
@@ -47,7 +49,11 @@ class SourceStream:
     def __iter__(self) -> Iterator[Step]:
         try:
             for window in self.camera.windows():
-                yield Step(window.t1_us, self.core.feed(window), window.end)
+                if self._whole:
+                    yield Step(window.t1_us, self.core.feed(window), window.end)
+                    continue
+                for k, messages in enumerate(self.core.parts(window)):
+                    yield Step(window.t1_us, messages, end=window.end and k == 1)
         finally:
             self.close()
 
@@ -73,7 +79,7 @@ def open_stream(config: EventSourceConfig, context: Context) -> SourceStream:
     camera = open_camera(config, context)
     onsets.warm()
     onset_dipoles.warm()
-    return SourceStream(camera, SourceCore(config, CameraInfo(camera.width, camera.height)))
+    return SourceStream(camera, SourceCore(config, CameraInfo(camera.width, camera.height)), whole=context.lockstep)
 
 
 def steps(config: EventSourceConfig, context: Context) -> Iterator[Step]:
