@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from heliograph.shell.process import EXIT_FORCED, PARENT_VARIABLE
+from heliograph.shell.process import EXIT_FORCED, PARENT_VARIABLE, Stop
 from support.processes import PATIENCE_S, collecting, free_port
 
 pytestmark = pytest.mark.processes
@@ -151,3 +151,24 @@ def test_what_is_there_when_a_process_is_warm_is_no_longer_searched_for_garbage(
         timeout=PATIENCE_S,
     )
     assert looked_at.stdout.split() == ["True", "True"]
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="a matter of Linux")
+def test_a_process_that_wakes_promptly_and_its_threads_have_no_timer_slack() -> None:
+    code = (
+        "import pathlib, threading\n"
+        "from heliograph.shell.process import wake_promptly\n"
+        "wake_promptly()\n"
+        "read = lambda: print(pathlib.Path(f'/proc/{threading.get_native_id()}/timerslack_ns').read_text().strip())\n"
+        "read()\n"
+        "threading.Thread(target=read).start()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.split() == ["1", "1"]
+
+
+def test_a_short_wait_for_a_stop_sees_one_that_came() -> None:
+    stop = Stop()
+    assert not stop.wait(0.001)
+    stop.set()
+    assert stop.wait(0.001)
