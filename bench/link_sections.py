@@ -146,6 +146,37 @@ def latency_section() -> str:
     return out
 
 
+def repeaters_section() -> str:
+    """Lights that repeat themselves in step with a word, and how many were told; of its releases the newest alone."""
+    path = RESULTS / "false_alarms.jsonl"
+    stored = [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
+    mine = [row for row in stored if row["part"] == "repeaters" and row["release"] == stored[-1]["release"]]
+    lines = []
+    for protocol, rate in dict.fromkeys((row["protocol"], row["rate"]) for row in mine):
+        rows = [row for row in mine if (row["protocol"], row["rate"]) == (protocol, rate)]
+        n, read, square = (sum(row[name] for row in rows) for name in ("candidates", "read", "square"))
+        told = sum(len(row["told"]) for row in rows)
+        lines.append((protocol, rate, n, read, square, told, f"< {3.0 / n:.1e}" if not told else f"{told / n:.1e}"))
+    if not lines:
+        return ""
+    head = ("protocol", "bit/s", "lights", "read as a word", "square waves", "told", "a light")
+    return (
+        "### Lights that repeat themselves\n\n`bench/repeaters.py`: flashes, PWM and foreign words whose period is that"
+        " of a word or a whole part of it. *Read*: as many equal frames as an identity takes, or more. *Square waves*:"
+        " told as a payload that any PWM of that period is. Evidence: simulated, as events of a track.\n\n"
+        + table(head, lines)
+        + "\n"
+    )
+
+
 def sections() -> list[Callable[[], str]]:
     """Return what writes the sections, in their order."""
-    return [recordings_section, static_section, moving_section, packet_section, cost_section, latency_section]
+    return [
+        recordings_section,
+        static_section,
+        moving_section,
+        packet_section,
+        cost_section,
+        latency_section,
+        repeaters_section,
+    ]

@@ -1,6 +1,6 @@
 """Who is named where nobody is, and who is named for another: false alarms and confusions of every protocol and rate.
 
-    python bench/study_false_alarms.py scene clutter lights clocked strangers crowd      all of it, or some parts
+    python bench/study_false_alarms.py PART ...      scene clutter lights clocked strangers repeaters crowd
 
 Parts; each is one or more cells, a JSON line each in bench/results/false_alarms.jsonl, run once and kept:
 
@@ -13,6 +13,7 @@ Parts; each is one or more cells, a JSON line each in bench/results/false_alarms
 - `clocked`: random bits at each reader's own clock, `--minutes` a protocol and bit rate.
 - `strangers`: beacons of every protocol, read by all other protocols at their bit rate and those about it, and by
   `auto`, which must say nothing but what is sent.
+- `repeaters`: lights that repeat themselves in step with a word of the cyclic codes (bench/repeaters.py).
 - `crowd`: a hundred beacons, through the whole system, named right or not; and what tracks of a crowd say to the
   readers of other protocols.
 
@@ -40,6 +41,7 @@ import numpy as np
 from false_lights import CAMERA, LIGHTS, Seen, beacon, light, watched
 from false_scenes import clutter, crowd, crowd_heard, scene_regions, scene_whole
 from heard import Signal, listen
+from repeaters import repeaters_row
 
 from heliograph.errors import ConfigError
 from heliograph.link.bitrate import likely_bit_rates
@@ -54,6 +56,8 @@ RATES: tuple[float, ...] = (50, 100, 250, 500, 1000, 2000, 2500, 3125, 5000, 10_
 BLINK_RATES: tuple[float, ...] = (260, 500, 900, 2500, 3000, 5000, 10_000, 16_400, 20_000)
 FAST: dict[str, tuple[float, ...]] = {"ook_fast": (30_000, 60_000), "event_interval": (30_000, 100_000)}
 PROTOCOLS = ("seed11", "code", "uart", "pulse_interval", "frequency", "event_interval", "packet", "ook_fast")
+REPEATED_RATES: tuple[float, ...] = (100, 500, 1000, 2000, 2500, 5000, 10_000)
+PARTS = ("scene", "clutter", "lights", "clocked", "strangers", "repeaters", "crowd")
 BITS_MOST = 20_000
 LAMP_SHARE = 0.01
 Reader = tuple[str, float | str]
@@ -205,6 +209,9 @@ def cells(part: str, arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
         for i, (speaker, rates) in product(chunks, spoken.items()):
             for rate in rates:
                 yield {"part": part, "speaker": speaker, "rate": rate, "seconds": 2.0, "beacons": 3, "chunk": i}
+    elif part == "repeaters":
+        for i, protocol, rate in product(chunks, ("seed11", "code"), (*REPEATED_RATES, AUTO)):
+            yield {"part": part, "protocol": protocol, "rate": rate, "lights": 250, "chunk": i}
     elif part == "crowd":
         yield from ({"part": part, "chunk": i, "seconds": arguments.crowd_s} for i in chunks)
         yield from ({"part": "crowd heard", "chunk": i, "seconds": 1.0} for i in chunks)
@@ -244,17 +251,22 @@ def row_of(cell: dict[str, Any], seed: int) -> dict[str, Any]:
         return {"readers": by_reader(crowd_heard(cell["seconds"], seed), near)}
     if part == "strangers":
         return {"readers": strangers_row(cell, seed)}
+    if part == "repeaters":
+        rate = None if cell["rate"] == AUTO else cell["rate"]
+        return repeaters_row(plan((cell["protocol"], cell["rate"])), cell["protocol"], rate, cell["lights"], seed)
     return lights_row(cell, seed)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("parts", nargs="+", choices=("scene", "clutter", "lights", "clocked", "strangers", "crowd"))
+    parser.add_argument("parts", nargs="+", choices=PARTS)
     parser.add_argument("--hours", type=float, default=3.0, help="lights: camera-hours a protocol")
     parser.add_argument("--minutes", type=float, default=10.0, help="clocked: a protocol and rate")
-    parser.add_argument("--chunks", type=int, default=1, help="clutter, strangers, crowd: how many")
+    parser.add_argument("--chunks", type=int, default=1, help="clutter, strangers, repeaters, crowd: how many")
     parser.add_argument("--crowd-s", type=float, default=30.0, help="crowd: camera seconds")
-    parser.add_argument("--only", nargs="+", default=[*PROTOCOLS, AUTO], help="lights, clocked: these protocols")
+    parser.add_argument(
+        "--only", nargs="+", default=[*PROTOCOLS, AUTO], help="lights, clocked, repeaters: these protocols"
+    )
     parser.add_argument("--budget", type=float, default=1e9, help="CPU seconds, then it stops: start it again")
     parser.add_argument("--release", default="development", help="what the seeds are derived from")
     parser.add_argument("-o", type=Path, default=RESULT)

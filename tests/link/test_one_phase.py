@@ -97,7 +97,7 @@ def test_the_tube_holds_the_share_of_lights_that_it_claims(rises: int) -> None:
 
 def test_what_is_asked_is_the_spread_a_degree_of_freedom_or_enough() -> None:
     asked = {edges(code, w): needed(word, code.bits) for code in CODES.values() for w, word in enumerate(code.words)}
-    assert asked[2] == 0.0
+    assert 0.0 < asked[2] < 1e-3
     assert asked[4] == pytest.approx(-log(2.0 * np.pi * 2.0 * SPREAD**2))
     assert asked[4] < asked[6] < asked[8] < asked[10] < asked[12] == asked[14] == -log(ENOUGH)
     assert needed_of(CODES["code"]) is needed_of(load("code20d4").code())

@@ -27,7 +27,8 @@ Asked is that no more is left than SPREAD a degree of freedom, or, of words of m
 
 That is the chance for a light that repeats itself, and has been read as a word, to be believed. It is one for each such
 light, not for each of its bits. Against that a word of four edges cannot be made safer than its sensor is exact; one of
-two, a square wave, is no evidence at all (d = 0): it is refused as PERIODIC, or believed where the site says so.
+two, a square wave, is no evidence at all (d = 0): it is refused as PERIODIC, or believed
+where the site says so, if no other edge is seen.
 
 Scans. Behind scans of q bits a time is known to (-q, 0]. That averages out where word and scans drift against each
 other, and then shows as a spread v of each edge's times. What does not show may hide as much in each o_i. Behind scans
@@ -72,6 +73,8 @@ MORE: Final = 0.5
 TWO_A_BIT: Final = 0.6
 # Shorter ones hide less than SPREAD in any case.
 SCAN_LEAST: Final = 0.15
+# Of a word of two edges: that it has no other is all that is asked, and worth nothing.
+ALONE: Final = 1e-6
 # What the camera's clock and a PLL's last step leave: bounds the logarithm.
 RHO_LEAST: Final = 1e-3
 
@@ -92,7 +95,7 @@ def needed(word: int, n: int) -> float:
     rises = sum(one > before for before, one in zip((bits[-1], *bits[:-1]), bits, strict=True))
     d = 2 * rises - 2
     if d <= 0:
-        return 0.0
+        return ALONE
     return min(tube(rises, rises, d, SPREAD * sqrt(d)), -log(ENOUGH))
 
 
@@ -181,7 +184,7 @@ def _nats(word: npt.NDArray[np.uint8], grid: Floats, q: float) -> float:
             return 0.0
     d = edges[0] + edges[1] - 2.0
     if d <= 0.0:
-        return 0.0
+        return ALONE if odd == 0.0 else 0.0
     hidden = (d + 2.0) * max(q * q / 12.0 - spread / seen, 0.0)
     off = off + hidden if q > TWO_A_BIT else max(off - hidden, 0.0)
     return float(_tube(edges[0], edges[1], d, np.sqrt(off + 0.25 * odd)))

@@ -1,0 +1,33 @@
+"""Lights that repeat themselves in step with a word are read, and none is told."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.append(str(Path(__file__).parents[2] / "bench"))
+
+repeaters = importlib.import_module("repeaters")
+study = importlib.import_module("study_false_alarms")
+
+
+def test_flashes_repeat_in_step_with_a_word_within_two_per_cent() -> None:
+    rng = np.random.default_rng(1)
+    for kind in repeaters.KINDS[:2]:
+        for _ in range(10):
+            _, (at_us, on), seconds = repeaters.repeater(kind, "seed11", 1000.0, rng)
+            assert seconds == pytest.approx(repeaters.WORDS * 0.011)
+            times = [at_us[i] - at_us[0] for i in range(2, len(at_us), 2) if on[i]]
+            off = [abs(time / 11_000.0 - 1.0) for time in times]
+            assert min(off) <= 0.021
+
+
+def test_none_of_them_is_told_though_some_are_read() -> None:
+    row = repeaters.repeaters_row(study.plan(("code", 2500.0)), "code", 2500.0, 24, 5)
+    assert row["candidates"] == 24
+    assert row["read"] > 0
+    assert row["told"] == []
