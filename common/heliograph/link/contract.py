@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, runtime_checkable
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -21,8 +22,7 @@ Bits = tuple[int, ...]
 Verdict = Literal["new", "valid", "invalid"]
 
 
-@dataclass(frozen=True, slots=True)
-class LinkFrame:
+class LinkFrame(msgspec.Struct, frozen=True):
     """A frame decided on its own bits (K = 1).
 
     Args:
@@ -38,8 +38,7 @@ class LinkFrame:
     margin: float
 
 
-@dataclass(frozen=True, slots=True)
-class Identity:
+class Identity(msgspec.Struct, frozen=True):
     """What a track is, as far as its frames tell; a state that the receiver holds.
 
     Args:

@@ -217,7 +217,8 @@ class DecoderCore:
         for i in due:
             track = following.tracks[i]
             links = track.links
-            decided = links.feed(*feeding.take(i), t1_us)
+            least = links.least()
+            decided = links.feed(*feeding.take(i, least), t1_us, least)
             feeding.fed(i, t1_us, links.due_us())
             if links.winner is not None:
                 feeding.spoke(i)

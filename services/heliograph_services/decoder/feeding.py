@@ -156,15 +156,16 @@ class Feeding:
         found: list[int] = wanted.nonzero()[0].tolist()
         return found
 
-    def take(self, i: int) -> Piece:
-        """Return what track i has not been fed yet."""
-        piece = gather(self._t_us, self._on, self._depth, self._starts, i, self._taken[i], self._windows)
+    def take(self, i: int, least: int = 0) -> Piece:
+        """Return what track i has not been fed yet, of what lies so deep in its image; the rest is forgotten."""
+        piece = gather(self._t_us, self._on, self._depth, self._starts, i, self._taken[i], self._windows, least)
         self._taken[i] = self._windows
         left = self._left[i]
         if left is None:
             return piece
         self._left[i] = None
-        return _joined(left, piece)
+        deep = left[2] >= least
+        return _joined((left[0][deep], left[1][deep], left[2][deep]), piece)
 
     def fed(self, i: int, now_us: int, due_us: int) -> None:
         """Note that track i has been fed up to now_us, and when it is due again."""

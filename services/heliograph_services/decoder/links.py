@@ -14,6 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final
 
+import msgspec
+
 from heliograph.errors import Refusals
 from heliograph.events import Flags, Times
 from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Receiver, Text, Verdict
@@ -34,16 +36,14 @@ TRIAL_BITS: Final = 500
 FOREVER_US: Final = 2**60
 
 
-@dataclass(frozen=True, slots=True)
-class Decided:
+class Decided(msgspec.Struct, frozen=True):
     """A frame or a text of a track, and the link it came by."""
 
     link: int
     item: LinkFrame | Text
 
 
-@dataclass(frozen=True, slots=True)
-class Accepted:
+class Accepted(msgspec.Struct, frozen=True):
     """The identity that a track holds, and the link it came by."""
 
     link: int
@@ -92,7 +92,7 @@ class TrackLinks:
                 self._contenders.append(_contender(self._plan, link, rate))
         self._contenders.sort(key=lambda one: (one.link, one.bit_rate))
 
-    def feed(self, t_us: Times, on: Flags, depth: Depths, until_us: int) -> list[Decided]:
+    def feed(self, t_us: Times, on: Flags, depth: Depths, until_us: int, least: int = 0) -> list[Decided]:
         """Take the track's events before until_us (see Receiver.feed); return what is published of them.
 
         Args:
@@ -100,6 +100,7 @@ class TrackLinks:
             on: (n,) bool.
             depth: (n,) uint8, how deep in the track's image they lie (heliograph_services.decoder.routing).
             until_us: there are no more events before this time.
+            least: all of them lie so deep, and no others are left out that a receiver would hear (`least`).
         """
         self._found = None
         if not self._contenders:
@@ -110,7 +111,7 @@ class TrackLinks:
             self._entered_us = until_us
             self._enter(range(len(self._plan.rows)))
         for one in self._contenders:
-            if one.depth:
+            if one.depth > least:
                 heard = depth >= one.depth
                 one.held += one.receiver.feed(t_us[heard], on[heard], until_us)
             else:
@@ -118,6 +119,13 @@ class TrackLinks:
             if len(one.held) > HELD_LIMIT:
                 del one.held[:-HELD_LIMIT]
         return self._settle(until_us)
+
+    def least(self) -> int:
+        """Return how deep in the track's image an event must lie for any of its receivers to hear it."""
+        contenders = self._contenders
+        if len(contenders) == 1:
+            return contenders[0].depth
+        return min((one.depth for one in contenders), default=0)
 
     def due_us(self) -> int:
         """Return from when on a feed may decide something that should not wait: as far as is known now.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from typing import Final
 
 import msgspec
@@ -47,8 +46,7 @@ def nats(value: float) -> float:
     return round(min(max(float(value), -MARGIN_LIMIT), MARGIN_LIMIT), 4)
 
 
-@dataclass(frozen=True, slots=True)
-class FrameRow:
+class FrameRow(msgspec.Struct, frozen=True):
     """A frame of a track, ready to be published."""
 
     serial: int

@@ -15,6 +15,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
+import msgspec
 import numpy as np
 
 from heliograph.errors import Refusal, Refusals
@@ -57,8 +58,7 @@ STEP_PARTS: Final = (1, 2, 4, 8)
 EAR_MARGIN_PX: Final = 8.0
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
+class Place(msgspec.Struct, frozen=True):
     """Where a target is at one instant: centre and velocity (px, px/s), and the radius of its region (px)."""
 
     x_px: float

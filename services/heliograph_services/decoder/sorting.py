@@ -86,7 +86,7 @@ def keep(
 
 @kernel
 def gather(
-    t_us: Times, on: Flags, depth: Depths, starts: Ints, i: int, first: int, behind: int
+    t_us: Times, on: Flags, depth: Depths, starts: Ints, i: int, first: int, behind: int, least: int
 ) -> tuple[Times, Flags, Depths]:
     """Return the events of track i in the windows [first, behind), one after another.
 
@@ -98,16 +98,19 @@ def gather(
         i: the track.
         first: window.
         behind: the last one.
+        least: depth of the events that are wanted.
     """
     n = 0
     for w in range(first, behind):
-        n += starts[w, i + 1] - starts[w, i]
+        for j in range(starts[w, i], starts[w, i + 1]):
+            n += int(depth[j] >= least)
     times = np.empty(n, np.int64)
     levels = np.empty(n, np.bool_)
     depths = np.empty(n, np.uint8)
     k = 0
     for w in range(first, behind):
         for j in range(starts[w, i], starts[w, i + 1]):
-            times[k], levels[k], depths[k] = t_us[j], on[j], depth[j]
-            k += 1
+            if depth[j] >= least:
+                times[k], levels[k], depths[k] = t_us[j], on[j], depth[j]
+                k += 1
     return times, levels, depths
