@@ -72,10 +72,11 @@ def same_length(record: msgspec.Struct, *columns: str) -> int:
     Raises:
         ValueError: two columns differ in length.
     """
-    lengths = {name: len(getattr(record, name)) for name in columns}
-    if len(set(lengths.values())) > 1:
-        raise ValueError(f"columns differ in length: {lengths}")
-    return lengths[columns[0]]
+    n = len(getattr(record, columns[0]))
+    for name in columns:
+        if len(getattr(record, name)) != n:
+            raise ValueError(f"columns differ in length: { {name: len(getattr(record, name)) for name in columns} }")
+    return n
 
 
 class Tracks(Message, frozen=True, kw_only=True):
@@ -168,8 +169,7 @@ class Frames(Message, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         same_length(self, "t_us", "track", "protocol", "beacon", "payload", "x_px", "y_px", "score")
-        unknown = self.refused.keys() - _REFUSAL_NAMES
-        if unknown:
+        if self.refused and (unknown := self.refused.keys() - _REFUSAL_NAMES):
             raise ValueError(f"unknown reasons of refusal: {sorted(unknown)}")
 
     @property

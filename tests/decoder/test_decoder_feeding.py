@@ -53,12 +53,12 @@ def test_every_event_reaches_its_track_once_and_in_order(windows: list[tuple[lis
         for t_us, i in zip(times, label, strict=True):
             wanted[i].append(t_us)
         for i in taking:
-            got[i] += feeding.take(i)[0].tolist()
+            got[i] += feeding.take([i], [0])[0][0].tolist()
             feeding.fed(i, (k + 1) * WINDOW_US, NEVER_DUE_US)
         if grows and feeding.n < 8:
             feeding.append((k + 1) * WINDOW_US, [False], [NEVER_DUE_US])
     for i in range(3):
-        got[i] += feeding.take(i)[0].tolist()
+        got[i] += feeding.take([i], [0])[0][0].tolist()
     assert got == wanted
 
 
@@ -66,7 +66,7 @@ def test_what_waits_moves_along_when_tracks_end() -> None:
     feeding = begun(3)
     feeding.note(routed([1, 2, 3], [0, 1, 2], 3), WINDOW_US)
     feeding.keep([2])
-    assert feeding.take(0)[0].tolist() == [3]
+    assert feeding.take([0], [0])[0][0].tolist() == [3]
 
 
 def test_a_track_that_has_heard_nothing_is_never_fed() -> None:

@@ -25,7 +25,8 @@ Floats = npt.NDArray[np.float64]
 
 def states_of(rng: np.random.Generator, n: int, width: int = WIDTH, height: int = HEIGHT) -> Floats:
     sure = Doubt(*rng.uniform(0.1, 2.0, 3))
-    places = [Place(*rng.uniform(-5, (width + 5, height + 5)), 0.0, 0.0, rng.uniform(0.5, 9.0)) for _ in range(n)]
+    spots = rng.uniform((-5, -5, 0.5), (width + 5, height + 5, 9.0), (n, 3)).tolist()
+    places = [Place(x_px, y_px, 0.0, 0.0, reach_px) for x_px, y_px, reach_px in spots]
     return np.stack([column(at, 3.0, sure) for at in places], axis=1)
 
 

@@ -214,11 +214,11 @@ class DecoderCore:
         """Feed the receivers of some tracks, add their frames; return whether what they read is news."""
         feeding = following.feeding
         stirred = False
-        for i in due:
-            track = following.tracks[i]
+        tracks = [following.tracks[i] for i in due]
+        least = [track.links.least() for track in tracks]
+        for i, track, deep, piece in zip(due, tracks, least, feeding.take(due, least) if due else [], strict=True):
             links = track.links
-            least = links.least()
-            decided = links.feed(*feeding.take(i, least), t1_us, least)
+            decided = links.feed(*piece, t1_us, deep)
             feeding.fed(i, t1_us, links.due_us())
             if links.winner is not None:
                 feeding.spoke(i)

@@ -15,6 +15,7 @@ not depend on how events are cut into messages, neither do the results.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -66,7 +67,8 @@ class Feeding:
         self._starts: Ints = np.zeros((WINDOWS_KEPT, capacity + 1), np.int64)
         self._windows = 0
         self._events = 0
-        self._taken = [0] * capacity  # how many of the windows a track has been fed
+        self._scratch = np.empty_like(self._t_us), np.empty_like(self._on), np.empty_like(self._depth)
+        self._taken: Ints = np.zeros(capacity, np.int64)  # how many of the windows a track has been fed
         self._left: list[Piece | None] = []  # of windows that are not there any more
         self._due_us: Ints = np.zeros(capacity, np.int64)
         self._heard_us: Ints = np.zeros(capacity, np.int64)  # end of the last window in which it heard something
@@ -143,6 +145,7 @@ class Feeding:
             new = np.empty(room, old.dtype)
             new[: self._events] = old[: self._events]
             setattr(self, name, new)
+        self._scratch = np.empty_like(self._t_us), np.empty_like(self._on), np.empty_like(self._depth)
 
     def whom(self, t1_us: int, *, beat: bool, every: bool) -> list[int]:
         """Return the tracks to be fed at t1_us; see the module."""
@@ -156,16 +159,25 @@ class Feeding:
         found: list[int] = wanted.nonzero()[0].tolist()
         return found
 
-    def take(self, i: int, least: int = 0) -> Piece:
-        """Return what track i has not been fed yet, of what lies so deep in its image; the rest is forgotten."""
-        piece = gather(self._t_us, self._on, self._depth, self._starts, i, self._taken[i], self._windows, least)
-        self._taken[i] = self._windows
-        left = self._left[i]
-        if left is None:
-            return piece
-        self._left[i] = None
-        deep = left[2] >= least
-        return _joined((left[0][deep], left[1][deep], left[2][deep]), piece)
+    def take(self, which: list[int], least: list[int]) -> list[Piece]:
+        """Return what tracks have not been fed yet, of what lies so deep in their images; the rest is forgotten."""
+        starts = np.empty(len(which) + 1, np.int64)
+        gather(
+            self._t_us, self._on, self._depth, self._starts, self._windows,
+            np.array(which, np.int64), np.array(least, np.int64), self._taken, *self._scratch, starts,
+        )  # fmt: skip
+        ends: list[int] = starts.tolist()
+        # Copied once for all: an array that a kernel returns costs more than what is in it.
+        n, (t_us, on, depth) = ends[-1], self._scratch
+        t_us, on, depth = t_us[:n].copy(), on[:n].copy(), depth[:n].copy()
+        pieces = [(t_us[a:b], on[a:b], depth[a:b]) for a, b in pairwise(ends)]
+        for k, i in enumerate(which):
+            left = self._left[i]
+            if left is not None:
+                self._left[i] = None
+                deep = left[2] >= least[k]
+                pieces[k] = _joined((left[0][deep], left[1][deep], left[2][deep]), pieces[k])
+        return pieces
 
     def fed(self, i: int, now_us: int, due_us: int) -> None:
         """Note that track i has been fed up to now_us, and when it is due again."""
@@ -175,10 +187,9 @@ class Feeding:
     def _drain(self) -> None:
         """Forget the windows; what waits is kept by track."""
         unfed: list[int] = (self._heard_us[: self.n] > self._fed_us[: self.n]).nonzero()[0].tolist()
-        for i in unfed:
-            piece = self.take(i)
+        for i, piece in zip(unfed, self.take(unfed, [0] * len(unfed)), strict=True):
             self._left[i] = piece if len(piece[0]) else None
-        self._taken = [0] * len(self._taken)
+        self._taken[:] = 0
         self._windows = self._events = 0
 
 

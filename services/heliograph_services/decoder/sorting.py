@@ -1,4 +1,4 @@
-"""The kernels that sort what regions have heard by track, keep it, and gather what one has heard."""
+"""The kernels that sort what regions have heard by track, keep it, and gather what some have heard."""
 
 from __future__ import annotations
 
@@ -86,31 +86,43 @@ def keep(
 
 @kernel
 def gather(
-    t_us: Times, on: Flags, depth: Depths, starts: Ints, i: int, first: int, behind: int, least: int
-) -> tuple[Times, Flags, Depths]:
-    """Return the events of track i in the windows [first, behind), one after another.
+    t_us: Times,
+    on: Flags,
+    depth: Depths,
+    starts: Ints,
+    windows: int,
+    which: Ints,
+    least: Ints,
+    taken: Ints,
+    out_t_us: Times,
+    out_on: Flags,
+    out_depth: Depths,
+    out_starts: Ints,
+) -> None:
+    """Gather the events of some tracks, track after track, in the windows that each has not taken yet.
 
     Args:
         t_us: (m,), as on and depth: of all windows, sorted by track within each.
         on: (m,).
         depth: (m,).
-        starts: (windows, tracks + 1): where they begin.
-        i: the track.
-        first: window.
-        behind: the last one.
-        least: depth of the events that are wanted.
+        starts: (windows or more, tracks + 1): where they begin.
+        windows: how many there are.
+        which: (k,) the tracks.
+        least: (k,) depth of the events that are wanted of each.
+        taken: (tracks or more,) how many windows each has taken; noted.
+        out_t_us: (m or more,) out, as out_on and out_depth.
+        out_on: as above.
+        out_depth: as above.
+        out_starts: (k + 1,) out: where the tracks' begin.
     """
     n = 0
-    for w in range(first, behind):
-        for j in range(starts[w, i], starts[w, i + 1]):
-            n += int(depth[j] >= least)
-    times = np.empty(n, np.int64)
-    levels = np.empty(n, np.bool_)
-    depths = np.empty(n, np.uint8)
-    k = 0
-    for w in range(first, behind):
-        for j in range(starts[w, i], starts[w, i + 1]):
-            if depth[j] >= least:
-                times[k], levels[k], depths[k] = t_us[j], on[j], depth[j]
-                k += 1
-    return times, levels, depths
+    for k in range(len(which)):
+        i = which[k]
+        out_starts[k] = n
+        for w in range(taken[i], windows):
+            for j in range(starts[w, i], starts[w, i + 1]):
+                if depth[j] >= least[k]:
+                    out_t_us[n], out_on[n], out_depth[n] = t_us[j], on[j], depth[j]
+                    n += 1
+        taken[i] = windows
+    out_starts[len(which)] = n
