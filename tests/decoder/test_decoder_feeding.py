@@ -215,3 +215,20 @@ def test_tracks_that_hear_nothing_are_told_and_read_nothing_and_the_beacon_among
     assert len(statuses[-1].track) == 26
     assert [us > 0 for us in statuses[-1].accepted_us] == [True] + 25 * [False]
     assert {one.beacon for one in out if isinstance(one, Identification)} == {"crane"}
+
+
+@pytest.mark.parametrize("windows", [1, 40])
+def test_what_is_too_shallow_for_a_track_is_left_out_and_not_given_later(windows: int) -> None:
+    feeding = begun(2)
+    for k in range(windows):
+        t_us = np.repeat(np.arange(3, dtype=np.int64) + 1_000 * k, 2)
+        depth = np.tile(np.arange(3, dtype=np.uint8), 2)
+        order = np.argsort(np.tile([0, 1], 3), kind="stable")
+        starts = np.array([0, 3, 6], np.int64)
+        feeding.note(Routed(starts, t_us[order], np.ones(6, np.bool_), depth, 0), 1_000 * (k + 1))
+    (mine_t, _, mine), (other_t, _, others) = feeding.take([1, 0], [2, 1])
+    assert mine_t.tolist() == [1_000 * k + 2 for k in range(windows)]
+    assert other_t.tolist() == [1_000 * k + at for k in range(windows) for at in (1, 2)]
+    assert set(mine.tolist()) == {2}
+    assert set(others.tolist()) == {1, 2}
+    assert [len(piece[0]) for piece in feeding.take([0, 1], [0, 0])] == [0, 0]
