@@ -2,8 +2,8 @@
 
 Publishing follows `heliograph.qos`; a topic with history goes through Zenoh's advanced publisher, whose cache serves
 late and cut-off readers. Receiving: a channel and a reader thread each subscription, which only moves bytes into the
-`Inbox`; unpacking and the core run elsewhere. (A callback in Zenoh's own thread spares a wake, but enters Python anew
-each time: it takes longer.)
+`Inbox`; unpacking and the core run elsewhere. (A callback in Zenoh's own thread spares a wake, but must enter Python
+anew each time, and was slower.)
 """
 
 from __future__ import annotations

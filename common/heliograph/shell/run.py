@@ -50,7 +50,7 @@ class Service(Generic[ConfigT]):
         make: makes the core; imports what is heavy, warms kernels.
         inputs: schema -> whether it is the camera's (then only the configured camera's are read).
         paced_by: the input that carries the camera's time, gated in lockstep and followed by progress; "" for none.
-        urgent: whether it lies on the way from a light to its reader, and is woken before others.
+        urgent: whether it lies on the way from a light to its reader, and is woken in time (`wake_promptly`).
         extra_schemas: records that are not in `heliograph.wire.SCHEMAS`, as "module:attribute" of a table.
     """
 
