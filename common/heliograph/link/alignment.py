@@ -42,6 +42,7 @@ from heliograph.link.state import (
     OUT_MARGIN,
     OUT_SCORE,
     OUT_SLOT,
+    READ_OUT,
     OUTSIDE,
     PERIOD,
     RING,
@@ -186,7 +187,8 @@ def _settle(m: int, state: State) -> tuple[float, bool]:
         return evidence, False
     word = state.words[int(verdict[BEST])]
     for i in range(1, n):
-        response.learn(2 * word[i - 1] + word[i], state.counts[(m - n + i) % RING], state.model, state.seen)
+        x, seen = 2 * word[i - 1] + word[i], state.counts[(m - n + i) % RING]
+        response.learn(x, seen, state.floats[READ_OUT], state.model, state.seen)
     return evidence, True
 
 

@@ -47,6 +47,7 @@ class Window:
         begin_us: of the first of them, in microseconds from the origin, in [0, 1).
         last_end: end of the last published frame.
         seen: blocks of it that show the light.
+        read_out: length of the sensor's scans, 0 where its events come in none.
     """
 
     t: Floats
@@ -56,6 +57,7 @@ class Window:
     begin_us: float
     last_end: float
     seen: float
+    read_out: float
 
 
 class Guess(NamedTuple):
@@ -99,9 +101,13 @@ class Beginner:
             Whether a lock has begun.
         """
         events, levels, turns = peaks
-        if turns[0, 1] >= threshold and self._scanned(window, turns[:, 0].tolist(), tried=tried):
+        clear = turns[0, 1] >= threshold
+        if clear and self._scans.long and self._scanned(window, turns[:, 0].tolist(), tried=tried):
             return True
-        guesses = self._guesses(window, events, levels, threshold, tried=tried)
+        guesses = []
+        if clear and self._scans.known and not self._scans.long:
+            guesses = self._turned_guesses(window, turns[: clock.PEAKS, 0].tolist())
+        guesses = guesses or self._guesses(window, events, levels, threshold, tried=tried)
         if not guesses:
             return False
         if not tried:
@@ -130,14 +136,26 @@ class Beginner:
 
     def _folded_guess(self, window: Window, f: float) -> Guess:
         clock.grid(window.t, window.on, f, window.until, self._found, self._folded)
+        return self._guess(window)
+
+    def _turned_guesses(self, window: Window, rates: list[float]) -> list[Guess]:
+        """Return the guesses that the turns of light in short scans give: their grid, and all events on it."""
+        guesses = []
+        for f in rates:
+            if self._scans.grid(window.t, window.on, window.until, f, self._found):
+                clock.fold(window.t, window.on, window.until, self._found, self._folded)
+                guesses.append(self._guess(window))
+        return guesses
+
+    def _guess(self, window: Window) -> Guess:
         rate, seen = np.zeros((4, 2, SUB)), np.zeros(4, np.int64)
-        response.start(self._folded, float(self._found[3]), rate, seen)
+        response.start(self._folded, float(self._found[3]), window.read_out, rate, seen)
         return Guess(self._found.copy(), rate)
 
     def _start(self, guess: Guess, window: Window) -> None:
         self._state.model[:] = guess.rate
         self._state.seen[:] = 0
-        state.start(self._state, None, guess.found, window.last_end, self._code)
+        state.start(self._state, None, guess.found, window.last_end, window.read_out, self._code)
 
     def _alike(self, window: Window, found: Floats) -> bool:
         return trial.alike(window.t, window.on, window.until, found, self._code.bits, self._equal)
@@ -182,7 +200,7 @@ class Beginner:
     def _start_scanned(self, window: Window, f: float) -> bool:
         if not self._scans.begin(window.t, window.on, window.until, f, self._found):
             return False
-        state.start(self._state, None, self._found, window.last_end, self._code)
+        state.start(self._state, None, self._found, window.last_end, window.read_out, self._code)
         self._state.ints[state.SLOT] = -scan_state.LAG
         return True
 

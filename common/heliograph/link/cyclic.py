@@ -288,10 +288,10 @@ class CyclicReceiver:
             begin_us=begin_us - origin_us,
             last_end=-1e9 if self._frame_end_us is None else (self._frame_end_us - origin_us) / self._bit_us,
             seen=(end_us - max(begin_us, float(self._since_us or 0))) / (clock.BLOCK_BITS * self._bit_us),
+            read_out=one_phase.read_out(self._held_t[start:] / self._bit_us),
         )
         if not self._beginner.begin(window, peaks, threshold, tried=tried):
             return False
-        self._state.floats[state.READ_OUT] = one_phase.read_out(self._held_t[start:] / self._bit_us)
         self._drop(start)
         self._origin_us = origin_us
         self._locks += 1

@@ -9,6 +9,13 @@ that depend on the LED's levels before and after the boundary, x = 2 before + af
 So one table holds the step response of each polarity with its delay and tail, the background, and what a lit LED does
 when it moves while a dark one is silent. At lock the table comes from the folded window (`heliograph.link.clock`); then
 each slot of an accepted frame moves its row by 1 / (16 + n), at least 1/256, towards what was seen.
+
+A sensor that reads its pixels in scans of q bits shows an edge at the end of a scan, up to q late, and the same edges
+at other sub-bins when bits and scans have drifted against each other. A bin that is empty until then would be learned
+as part of whatever the first mistaken frame took it for, and a word that repeats never contradicts it. So what is seen
+is spread by what two readings of one edge differ by, the triangle of half-width q::
+
+    spread[k, j] ~ max(1 - |k - j| / (SUB q), 0)        sum over k = 1
 """
 
 from __future__ import annotations
@@ -30,6 +37,8 @@ RISES_A_SLOT: Final = 0.25
 # Standard deviations over the background that make a bin of the lock's window part of the response; without it, half of
 # a noisy region's bins would add up to a phantom transition.
 SIGNIFICANT: Final = 2.0
+# Half-width in sub-bins of the least spread at lock: .25, .5, .25, for a window's clock is known to a sub-bin.
+SMOOTH: Final = 2.0
 # Weight of the table at lock, in slots, and the longest memory: 256 slots are 15 to 25 frames.
 PRIOR_SLOTS: Final = 16
 MEMORY_SLOTS: Final = 256
@@ -44,45 +53,68 @@ REACH: Final = 2
 FIGURES: Final = 9
 
 
+@numba.njit(nogil=True)
+def _spread(j: int, half_width: float, weights: Floats) -> tuple[int, int]:
+    """Set weights[k] for the sub-bins k that an event of sub-bin j may as well have been in; return the first, the end."""
+    reach = int(np.ceil(half_width)) - 1
+    first, end = max(j - reach, 0), min(j + reach + 1, SUB)
+    whole = 0.0
+    for k in range(first, end):
+        weights[k] = 1.0 - abs(k - j) / half_width
+        whole += weights[k]
+    for k in range(first, end):
+        weights[k] /= whole
+    return first, end
+
+
 @numba.njit(cache=True, nogil=True)
-def start(folded: Floats, slots: float, rate: Floats, seen: npt.NDArray[np.int64]) -> None:
+def start(folded: Floats, slots: float, q: float, rate: Floats, seen: npt.NDArray[np.int64]) -> None:
     """Set the rates at lock.
 
     Args:
         folded: (2, SUB) events a slot in the lock's window, by polarity (OFF, ON) and sub-bin.
         slots: slots in the window.
+        q: length of a scan in bits, 0 where events come in none.
         rate: (4, 2, SUB) out.
         seen: (4,) out: zero.
     """
     seen[:] = 0
-    signal = np.zeros(SUB)
+    weights = np.zeros(SUB)
+    half_width = max(q * SUB, SMOOTH)
     for p in range(2):
         # The median is the background as long as transitions fill less than half of a slot.
         background = np.median(folded[p])
         least = SIGNIFICANT * np.sqrt(background / slots)
-        for k in range(SUB):
-            over = folded[p, k] - background
-            signal[k] = over if over > least else 0.0
-        for k in range(SUB):
-            for x in range(4):
-                rate[x, p, k] = background
-            smooth = 0.25 * signal[max(k - 1, 0)] + 0.5 * signal[k] + 0.25 * signal[min(k + 1, SUB - 1)]
-            rate[RISE if p == 1 else FALL, p, k] += smooth / RISES_A_SLOT
+        for x in range(4):
+            rate[x, p] = background
+        for j in range(SUB):
+            over = folded[p, j] - background
+            if over > least:
+                first, end = _spread(j, half_width, weights)
+                for k in range(first, end):
+                    rate[RISE if p == 1 else FALL, p, k] += over * weights[k] / RISES_A_SLOT
 
 
 @numba.njit(nogil=True)
-def learn(x: int, counts: npt.NDArray[np.int32], rate: Floats, seen: npt.NDArray[np.int64]) -> None:
-    """Move the rates of x towards the counts (2, SUB) of one slot."""
+def learn(x: int, counts: npt.NDArray[np.int32], q: float, rate: Floats, seen: npt.NDArray[np.int64]) -> None:
+    """Move the rates of x towards the counts (2, SUB) of one slot, seen in scans of q bits."""
     share = max(1.0 / (PRIOR_SLOTS + seen[x]), 1.0 / MEMORY_SLOTS)
     seen[x] += 1
     # Dark and lit begin with the same guess. Until a level has been seen often, it follows the other: a level seen less
     # would else keep the guess longer, and that difference would be taken for a sign of the level.
     other = DARK + LIT - x
     along = share * PRIOR_SLOTS / (PRIOR_SLOTS + seen[other]) if x in (DARK, LIT) else 0.0
+    half_width = max(q * SUB, 1.0)
+    weights = np.empty(SUB)
+    rate[x] *= 1.0 - share
+    rate[other] *= 1.0 - along
     for p in range(2):
-        for k in range(SUB):
-            rate[x, p, k] += share * (counts[p, k] - rate[x, p, k])
-            rate[other, p, k] += along * (counts[p, k] - rate[other, p, k])
+        for j in range(SUB):
+            if counts[p, j]:
+                first, end = _spread(j, half_width, weights)
+                for k in range(first, end):
+                    rate[x, p, k] += share * counts[p, j] * weights[k]
+                    rate[other, p, k] += along * counts[p, j] * weights[k]
 
 
 @numba.njit(nogil=True)

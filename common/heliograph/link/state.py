@@ -138,7 +138,9 @@ def new_state(code: CyclicCode) -> State:
     )
 
 
-def start(state: State, folded: Floats | None, found: Floats, last_end: float, code: CyclicCode) -> None:
+def start(
+    state: State, folded: Floats | None, found: Floats, last_end: float, read_out: float, code: CyclicCode
+) -> None:
     """Begin with a new lock.
 
     Args:
@@ -146,11 +148,12 @@ def start(state: State, folded: Floats | None, found: Floats, last_end: float, c
         folded: (2, SUB) of `heliograph.link.clock.grid`; None where the model is set already (`heliograph.link.level`).
         found: (4,) of `heliograph.link.clock.grid`.
         last_end: end of the last published frame, in bits from the new origin.
+        read_out: length of the sensor's scans in bits, 0 where its events come in none.
         code: its words, as in `new_state`.
     """
     start_code, start_bits = code.start
     next_one = NEXT if start_bits and start_code >> (start_bits - 1) else 0.5
-    state.floats[:] = (found[0], found[1], found[2], 0.0, last_end, 0.0, next_one, 0.0)
+    state.floats[:] = (found[0], found[1], found[2], 0.0, last_end, 0.0, next_one, read_out)
     state.ints[:] = 0
     state.ints[ALIGNED] = -1
     state.ints[GRID_WORD] = -1
@@ -160,5 +163,5 @@ def start(state: State, folded: Floats | None, found: Floats, last_end: float, c
     state.counts[:] = 0
     state.sums[:] = 0.0
     if folded is not None:
-        response.start(folded, found[3], state.model, state.seen)
+        response.start(folded, found[3], read_out, state.model, state.seen)
     response.tabulate(state.model, state.logs, state.total, state.core, state.share, state.figures)
