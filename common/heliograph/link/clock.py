@@ -242,18 +242,6 @@ def _coherence(sums: Floats, f: float, nearest: int, off: float, lit: float) -> 
 
 
 @numba.njit(cache=True, nogil=True)
-def fold(t: Floats, on: npt.NDArray[np.bool_], until: float, found: Floats, folded: Floats) -> None:
-    """Fold a window's events on the grid that `found` has, and set the slots folded (`grid`)."""
-    folded[:] = 0.0
-    for i in range(len(t)):
-        slot = (t[i] - found[0]) / found[1] + 0.5
-        k = min(int((slot - math.floor(slot)) * SUB), SUB - 1)
-        folded[1 if on[i] else 0, k] += 1.0
-    found[3] = max((until - t[0]) / found[1], 8.0)
-    folded /= found[3]
-
-
-@numba.njit(cache=True, nogil=True)
 def grid(t: Floats, on: npt.NDArray[np.bool_], f: float, until: float, found: Floats, folded: Floats) -> None:
     """Lay the bit grid through a window's events, and fold them on it.
 
@@ -287,4 +275,10 @@ def grid(t: Floats, on: npt.NDArray[np.bool_], f: float, until: float, found: Fl
     found[0] = (middle + math.floor(t[0] * f - middle)) * period
     found[1] = period
     found[2] = half
-    fold(t, on, until, found, folded)
+    folded[:] = 0.0
+    for i in range(len(t)):
+        slot = (t[i] - found[0]) * f + 0.5
+        k = min(int((slot - math.floor(slot)) * SUB), SUB - 1)
+        folded[1 if on[i] else 0, k] += 1.0
+    found[3] = max((until - t[0]) * f, 8.0)
+    folded /= found[3]

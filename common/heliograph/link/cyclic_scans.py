@@ -37,11 +37,6 @@ _NONE: Final[clock.Floats] = np.array([[1.0, 0.0]])
 LATE: Final = 0.125
 
 
-# Longer scans, in bits, have a demodulator of their own; that of events reads shorter ones better, a word that repeats
-# above all: it learns four kinds of slots, not sixteen contexts, of which such a word shows but some.
-LONG: Final = 0.45
-
-
 class ScanSearch:
     """Sums the turns of one track's light, and begins with what they show.
 
@@ -67,11 +62,6 @@ class ScanSearch:
     def known(self) -> bool:
         """Whether the events are known to be scans."""
         return self._quantum > 0.0
-
-    @property
-    def long(self) -> bool:
-        """Whether the scans are so long that a demodulator of their own reads them."""
-        return self._quantum > LONG
 
     def look(self, t_us: Times) -> bool:
         """Learn from events held whether they are scans; return it."""
@@ -120,13 +110,19 @@ class ScanSearch:
         Returns:
             Whether the window's events are scans.
         """
-        found_t, found_on, turn = self._turns(t, on)
-        if not len(found_t):
+        found_t, found_on = np.empty(len(t)), np.empty(len(t), np.bool_)
+        turn = self._turn.copy()
+        turn[scans.UP : scans.USUAL_OFF] = 0.0
+        n = scans.turns(t, on, turn, found_t, found_on)
+        if n == 0:
             return False
         if self._kept is None:
             self._kept = new_scan_state()
-        _lay(found_t, found_on, f, until, found)
-        fit = scan_lock.begin(self._kept, t, on, until, found, found_t, found_on)
+        clock.grid(found_t[:n], found_on[:n], f, until, found, np.empty((2, clock.SUB)))
+        if found[2] > LATE:
+            found[2] -= 0.5
+            found[0] -= 0.5 * found[1]
+        fit = scan_lock.begin(self._kept, t, on, until, found, found_t[:n], found_on[:n])
         if fit is None:
             return False
         self.fit = fit
@@ -134,23 +130,6 @@ class ScanSearch:
         self.scanned.turn[:] = 0.0
         self.scanned.turn[scans.USUAL_OFF : scans.SWING] = turn[scans.USUAL_OFF : scans.SWING]
         return True
-
-    def grid(self, t: clock.Floats, on: Flags, until: float, f: float, found: clock.Floats) -> bool:
-        """Set found to the bit grid that the turns of a window lie on (as `begin` has it); return whether any do."""
-        found_t, found_on, _ = self._turns(t, on)
-        if not len(found_t):
-            return False
-        _lay(found_t, found_on, f, until, found)
-        found[0] -= max(np.ceil((found[0] - t[0]) / found[1]), 0.0) * found[1]
-        return True
-
-    def _turns(self, t: clock.Floats, on: Flags) -> tuple[clock.Floats, Flags, clock.Floats]:
-        """Return the times of a window's turns, whether up, and what was learned of turns."""
-        found_t, found_on = np.empty(len(t)), np.empty(len(t), np.bool_)
-        turn = self._turn.copy()
-        turn[scans.UP : scans.USUAL_OFF] = 0.0
-        n = scans.turns(t, on, turn, found_t, found_on)
-        return found_t[:n], found_on[:n], turn
 
     def ended(self, until: float) -> int:
         """Take note that the stream ends, in bits from the lock's origin; return in how many slots its last is judged.
@@ -173,11 +152,3 @@ def peaks(sums: clock.Floats, threshold: float) -> clock.Floats:
     """Return (n, 2) the rates that a window of these blocks may show, and z, as `clock.peaks` finds them."""
     found = np.empty((clock.PEAKS, 2))
     return found[: clock.peaks(sums, threshold, found)]
-
-
-def _lay(t: clock.Floats, on: Flags, f: float, until: float, found: clock.Floats) -> None:
-    """Lay the bit grid through turns (`heliograph.link.clock.grid`)."""
-    clock.grid(t, on, f, until, found, np.empty((2, clock.SUB)))
-    if found[2] > LATE:
-        found[2] -= 0.5
-        found[0] -= 0.5 * found[1]

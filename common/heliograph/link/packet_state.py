@@ -116,7 +116,7 @@ def start(state: PacketState, folded: Floats | None, found: Floats) -> None:
     state.counts[:] = 0
     if folded is not None:
         pairs, seen = np.zeros((4, 2, SUB)), np.zeros(4, np.int64)
-        response.start(folded, found[3], pairs, seen)
+        response.start(folded, found[3], 0.0, pairs, seen)
         packet_response.from_pairs(pairs, state.model)
     state.seen[:] = 0
     packet_response.tabulate(state.model, state.logs, state.total, state.figures)

@@ -55,7 +55,7 @@ FIGURES: Final = 9
 
 @numba.njit(nogil=True)
 def _spread(j: int, half_width: float, weights: Floats) -> tuple[int, int]:
-    """Set weights[k] for the sub-bins k that an event of sub-bin j may as well have been in; return the first, the end."""
+    """Set weights[k] for the sub-bins that an event of sub-bin j may have been in; return the first and the end."""
     reach = int(np.ceil(half_width)) - 1
     first, end = max(j - reach, 0), min(j + reach + 1, SUB)
     whole = 0.0
