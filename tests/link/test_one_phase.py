@@ -109,3 +109,10 @@ def test_scans_of_any_length_are_seen_in_the_times(scan: float) -> None:
     t = np.sort(np.ceil(rng.uniform(0.0, 200.0 * scan, 2000) / scan) * scan)
     assert read_out(t) == pytest.approx(scan, rel=0.01)
     assert read_out(np.sort(rng.uniform(0.0, 200.0, 2000))) == 0.0
+
+
+def test_the_edges_of_a_sharp_slow_light_are_no_scans_of_a_bit() -> None:
+    rng = np.random.default_rng(3)
+    edges = np.flatnonzero(rng.random(200) < 0.5)
+    assert read_out(np.sort((edges[:, None] + rng.uniform(0.0, 0.005, (len(edges), 20))).ravel())) == 0.0
+    assert read_out(np.repeat(edges.astype(float), 20)) == pytest.approx(1.0)

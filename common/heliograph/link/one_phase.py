@@ -75,6 +75,9 @@ TWO_A_BIT: Final = 0.6
 SCAN_LEAST: Final = 0.15
 # Of a word of two edges: that it has no other is all that is asked, and worth nothing.
 ALONE: Final = 1e-6
+# The edges of a light that is slow and sharp come in bursts whole bits apart. Those of scans have one time each.
+WHOLE: Final = 0.05
+STAMPS: Final = 1.5
 # What the camera's clock and a PLL's last step leave: bounds the logarithm.
 RHO_LEAST: Final = 1e-3
 
@@ -116,13 +119,16 @@ def read_out(t: Floats) -> float:
     Args:
         t: (n,) event times in nominal bits, not falling.
     """
-    gaps = np.diff(starts(t))
+    begun = starts(t)
+    gaps = np.diff(begun)
     if len(gaps) < GAPS_LEAST:
         return 0.0
     least = np.sort(gaps)[int(FEW * len(gaps))]
     near = gaps[np.abs(gaps - least) < NEAR * least]
     q = float(near.mean())
     if q < SCAN_LEAST or len(near) < IN_A_ROW * len(gaps):
+        return 0.0
+    if abs(q - max(round(q), 1)) < WHOLE and len(np.unique(t)) > STAMPS * len(begun):
         return 0.0
     short = gaps[gaps < FAR * q] / q
     return q if float(np.mean(np.abs(short - np.round(short)) < NEAR)) >= ON_GRID else 0.0
