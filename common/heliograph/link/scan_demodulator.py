@@ -88,6 +88,9 @@ OUTLIER: Final = 0.01
 DEAD: Final = 0.8
 # Loop gains, below those of `heliograph.link.clock`: what is left outside of a scan is rare and one-sided, and the grid
 # of the scans itself would capture a quicker loop where it lies half a per cent off.
+# What a sub-bin was learned to show holds for the grid of that time: a grid that moves by a whole one forgets it. Else a
+# word that repeats is held against rates of other sub-bins while the loop settles, and mistakes are learned.
+MOVED: Final = 1.0
 SCAN_GAIN_START: Final = 0.05
 SCAN_GAIN_END: Final = 0.02
 
@@ -148,6 +151,8 @@ def _steer(m: int, pair: Floats, state: State, scanned: ScanState) -> None:
     gain = SCAN_GAIN_START if ints[EDGES] < GAIN_SLOTS else SCAN_GAIN_END
     floats[PERIOD] += 0.25 * gain * gain * error
     floats[BOUNDARY] += gain * error
+    if error != 0.0:
+        scanned.weight[:] *= max(1.0 - MOVED * abs(gain * error) * SUB, 0.0)
 
 
 @numba.njit(nogil=True)

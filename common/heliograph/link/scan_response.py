@@ -29,10 +29,8 @@ CONTEXTS: Final = 16
 WITNESSES: Final = 10.0
 # Weight of a shorter context's rate, in scans, against what was seen of the longer one.
 BACK_OFF: Final = 1.0
-# Longest memory of a rate, in scans at its own sub-bin. A loop that settles moves the grid by a sub-bin in 50 ms;
-# what was learned before is then wrong, and a word that repeats does not contradict it: with 48 its frames were read
-# wrongly thirty times as often; fresh payloads are read as well with 6.
-MEMORY: Final = 6.0
+# Longest memory of a rate, in scans at its own sub-bin: the phase between bits and scans drifts, and comes back.
+MEMORY: Final = 48.0
 # Weight of what a scan shows for the sub-bins beside its own: they differ by a sixteenth of a bit.
 BESIDE: Final = 0.5
 # What comes from nowhere in a scan: of a burst's events, and events.
