@@ -86,11 +86,11 @@ from heliograph.link.state import (
 OUTLIER: Final = 0.01
 # Of a scan, where a turn says nothing of the clock: pixels differ by some of the rest.
 DEAD: Final = 0.8
+# What a sub-bin was learned to show holds for the grid of that time: one that moves by a whole sub-bin forgets it. Else
+# a word that repeats is held against the rates of other sub-bins while the loop settles, and mistakes are learned.
+MOVED: Final = 1.0
 # Loop gains, below those of `heliograph.link.clock`: what is left outside of a scan is rare and one-sided, and the grid
 # of the scans itself would capture a quicker loop where it lies half a per cent off.
-# What a sub-bin was learned to show holds for the grid of that time: a grid that moves by a whole one forgets it. Else a
-# word that repeats is held against rates of other sub-bins while the loop settles, and mistakes are learned.
-MOVED: Final = 1.0
 SCAN_GAIN_START: Final = 0.05
 SCAN_GAIN_END: Final = 0.02
 
