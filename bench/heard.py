@@ -22,7 +22,8 @@ from heliograph_services.cli.pipeline import ONE_PROCESS, Pipeline
 from heliograph_services.decoder import core, following
 from heliograph_services.decoder.config import DecoderConfig
 from heliograph_services.decoder.feeding import NEVER_DUE_US
-from heliograph_services.decoder.links import Decided, LinkPlan, TrackLinks
+from heliograph_services.decoder.link_plan import LinkPlan
+from heliograph_services.decoder.links import Decided, TrackLinks
 from heliograph_services.decoder.region_state import Depths
 from heliograph_services.tracker.config import TrackerConfig
 from heliograph_services.tracker.core import make_core as make_tracker
@@ -68,13 +69,17 @@ class Ear:
         self.winner = None
         self.every.append(self)
 
-    def feed(self, t_us: Times, on: Flags, depth: Depths, until_us: int) -> list[Decided]:
+    def feed(self, t_us: Times, on: Flags, depth: Depths, until_us: int, deep: int = 0) -> list[Decided]:
         """Keep events."""
         if self.from_us is None:
             self.from_us = int(t_us[0]) if len(t_us) else until_us
         self.parts.append((t_us.copy(), on.copy(), depth.copy()))
         self.until_us = until_us
         return []
+
+    def least(self) -> int:
+        """Return that every event is heard, wherever it lies in the image."""
+        return 0
 
     def due_us(self) -> int:
         """Return that nothing is due."""

@@ -66,7 +66,7 @@ class CyclicReceiver:
         self._block = 0  # number of the next block on the absolute grid
         self._part = 0  # parts of it that have been looked at
         self._dark = 0  # blocks before it without events
-        self._blocks = ClockBlocks(self._bit_us)
+        self._blocks = ClockBlocks(self._bit_us, code.bits)
         self._scans = self._blocks.scans
         self._beginner = Beginner(code, self._needed - 1, self._state, self._blocks)
         self._held_t: Times = np.empty(0, np.int64)

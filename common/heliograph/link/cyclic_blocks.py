@@ -22,10 +22,11 @@ class ClockBlocks:
 
     Args:
         bit_us: nominal length of a bit.
+        frame_bits: of the code.
     """
 
-    def __init__(self, bit_us: float) -> None:
-        self.scans = ScanSearch(bit_us)
+    def __init__(self, bit_us: float, frame_bits: int) -> None:
+        self.scans = ScanSearch(bit_us, frame_bits)
         self._bit_us = bit_us
         self._events = np.zeros((clock.LONG_BLOCKS, clock.SUMS))
         self._level = np.zeros_like(self._events)

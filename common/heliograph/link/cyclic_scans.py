@@ -42,10 +42,12 @@ class ScanSearch:
 
     Args:
         bit_us: nominal length of a bit.
+        frame_bits: of the code.
     """
 
-    def __init__(self, bit_us: float) -> None:
+    def __init__(self, bit_us: float, frame_bits: int) -> None:
         self._bit_us = bit_us
+        self._frame_bits = frame_bits
         self.scanned: ScanState | None = None  # of the present lock, or of one on trial
         self._kept: ScanState | None = None
         self.fit: clock.Floats = np.empty(0)  # of the scans of the window begun with (`heliograph.link.scan_lock`)
@@ -122,7 +124,7 @@ class ScanSearch:
         if found[2] > LATE:
             found[2] -= 0.5
             found[0] -= 0.5 * found[1]
-        fit = scan_lock.begin(self._kept, t, on, until, found, found_t[:n], found_on[:n])
+        fit = scan_lock.begin(self._kept, t, on, until, found, (found_t[:n], found_on[:n]), self._frame_bits)
         if fit is None:
             return False
         self.fit = fit
@@ -144,7 +146,7 @@ class ScanSearch:
     def figures(self, scanned: ScanState) -> tuple[float, float]:
         """Return events of a transition and background events a slot."""
         burst = 0.5 * float(scanned.turn[scans.USUAL_OFF] + scanned.turn[scans.USUAL_ON])
-        quiet = 0.5 * float(scanned.rate[[0, -1]].sum()) / clock.SUB
+        quiet = 0.5 * float(scanned.mean[[0, -1]].sum()) / clock.SUB
         return burst, quiet / float(scanned.floats[scan_state.QUANTUM])
 
 

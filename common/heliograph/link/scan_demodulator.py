@@ -163,7 +163,13 @@ def _close(state: State, scanned: ScanState) -> bool:
     at = (m + LAG) % RING
     loglikelihood = np.empty(CONTEXTS)
     scan_response.likelihoods(
-        scanned.scans[at], scanned.n[at], scanned.full, scanned.log_rate, scanned.floats[BURST], loglikelihood
+        scanned.scans[at],
+        scanned.n[at],
+        scanned.shape,
+        scanned.least,
+        scanned.scale,
+        scanned.floats[BURST],
+        loglikelihood,
     )
     slot = scanned.likely[at]
     temper(loglikelihood, slot)
@@ -181,7 +187,15 @@ def _close(state: State, scanned: ScanState) -> bool:
         for record in range(told, ints[OUT]):
             _learn(state.out[record], state, scanned)
         if ints[OUT] > told:
-            scanned.floats[BURST] = scan_response.tabulate(scanned.rate, scanned.full, scanned.log_rate)
+            scanned.floats[BURST] = scan_response.tabulate(
+                scanned.rate,
+                scanned.weight,
+                scanned.floats[QUANTUM],
+                scanned.mean,
+                scanned.shape,
+                scanned.least,
+                scanned.scale,
+            )
     floats[BOUNDARY] += floats[PERIOD]
     ints[SLOT] += 1
     scanned.n[(at + 1) % RING] = 0

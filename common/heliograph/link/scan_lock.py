@@ -2,12 +2,22 @@
 
 The bits between the window's turns are known, if only nearly (a turn may have been missed, a burst's end be taken for
 one). They give a first response (`heliograph.link.scan_response`), the response better bits (Viterbi over the window,
-any bits equally likely), and these a better response, ROUNDS times. How likely the window's scans are with the last
-tells clocks apart that are all read (`heliograph.link.beginning`): one that is a little off blurs the response.
+any bits equally likely), and these a better response, ROUNDS times.
+
+Behind scans of half a bit a light may show no rises at all where edges and scans coincide, for a third of the slow beat
+of bits and scans. What is read there by itself is a guess that learns itself. So the window is read once more as frames
+that are all equal: bits n apart are one bit, guessed by majority, their likelihoods multiplied. It is believed where it
+tells the window in fewer nats (minimum description length), a bit costing ln 2::
+
+    fit = sum_j log L(scan j | bits, response) - (n or slots) ln 2
+
+How likely the window's scans are by the mean rates tells clocks apart that are all read
+(`heliograph.link.beginning`): one that is a little off blurs the response.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Final, cast
 
@@ -23,6 +33,8 @@ from heliograph.link.scan_response import CONTEXTS
 from heliograph.link.stamp import stamp
 
 ROUNDS: Final = 4
+# Fewest frames of a window that may be told to be equal.
+FRAMES: Final = 4
 # Slots of a window, at most: 256 bits and what a fast clock adds.
 _SLOTS: Final = 300
 Ints = npt.NDArray[np.int64]
@@ -41,14 +53,14 @@ def _levels(turn_t: Floats, turn_on: Flags, first: float, period: float, bits: I
 
 @numba.njit(nogil=True)
 def _viterbi(likely: Floats, bits: Ints) -> None:
-    """Set bits (slots + 1,) to the likeliest, given (slots, 16) tempered likelihoods."""
+    """Set bits (slots + 1,) to the likeliest, given (slots, 16) log-likelihoods."""
     slots = likely.shape[0]
     best, after = np.zeros(8), np.empty(8)
     came = np.zeros((slots, 8), np.int64)
     for s in range(slots):
         after[:] = -1e300
         for x in range(CONTEXTS):
-            value = best[x >> 1] + np.log(likely[s, x])
+            value = best[x >> 1] + likely[s, x]
             if value > after[x & 7]:
                 after[x & 7] = value
                 came[s, x & 7] = x >> 1
@@ -60,12 +72,102 @@ def _viterbi(likely: Floats, bits: Ints) -> None:
     bits[0] = at & 1
 
 
+@numba.njit(nogil=True)
+def _fold_bits(bits: Ints, n: int) -> None:
+    """Set each bit (slots + 1,) to what most of those whole frames of n apart are."""
+    for r in range(min(n, len(bits))):
+        ones, count = 0, 0
+        for s in range(r, len(bits), n):
+            ones += bits[s]
+            count += 1
+        for s in range(r, len(bits), n):
+            bits[s] = 1 if 2 * ones > count else 0
+
+
+@numba.njit(nogil=True)
+def _fold(likely: Floats, n: int) -> None:
+    """Set each slot's log-likelihoods (slots, 16) to the sum over those whole frames of n apart."""
+    slots = likely.shape[0]
+    for r in range(min(n, slots)):
+        for s in range(r + n, slots, n):
+            likely[r] += likely[s]
+        for s in range(r + n, slots, n):
+            likely[s] = likely[r]
+
+
+@numba.njit(nogil=True)
+def _settle(
+    slot_scans: tuple[Floats, Ints, Floats, Ints],
+    n: int,
+    q: float,
+    bits: Ints,
+    learned: tuple[Floats, Floats],
+    fit: Floats,
+) -> tuple[float, float]:
+    """Learn response and bits of a window from each other.
+
+    Args:
+        slot_scans: (slots, ROOM, 3) and (slots,) as in the demodulator, and (m, 4) slot, sub-bin, OFF, ON events of
+            its scans, and (m,) their places in fit.
+        n: bits of a frame if all frames are to be equal, else 0.
+        q: length of a scan.
+        bits: (slots + 1,) guessed; changed.
+        learned: rate and weight, out.
+        fit: out, of each scan: log-likelihood by the mean rates, in nats, less its part of what the bits cost.
+
+    Returns:
+        Events of a burst's scan, and log-likelihood by rates known as well as seen, less what the bits cost.
+    """  # fmt: skip
+    grouped, per_slot, placed, row_of = slot_scans
+    rate, weight = learned
+    slots = len(per_slot)
+    mean, shape, least = np.empty(rate.shape), np.empty(rate.shape), np.empty(rate.shape)
+    scale, likely, loglikelihood = np.empty(weight.shape), np.empty((slots, CONTEXTS)), np.empty(CONTEXTS)
+    if n > 0:
+        _fold_bits(bits, n)
+    for _ in range(ROUNDS):
+        scan_response.guess(bits, 2, placed, rate, weight)
+        burst = scan_response.tabulate(rate, weight, q, mean, shape, least, scale)
+        for s in range(slots):
+            scan_response.likelihoods(grouped[s], per_slot[s], shape, least, scale, burst, loglikelihood)
+            scan_demodulator.temper(loglikelihood, likely[s])
+        likely[:] = np.log(likely)
+        if n > 0:
+            _fold(likely, n)
+        _viterbi(likely, bits)
+    scan_response.guess(bits, 2, placed, rate, weight)
+    burst = scan_response.tabulate(rate, weight, q, mean, shape, least, scale)
+    f = max(1.0, burst / scan_response.WITNESSES)
+    told = -(n if n > 0 else slots) * np.log(2.0)
+    stray = scan_response.STRAY_SHARE * burst + scan_response.STRAY_EVENTS
+    fit[:] = told / len(fit)
+    for j in range(len(placed)):
+        s, k = int(placed[j, 0]), int(placed[j, 1])
+        if s >= 2:
+            x = 8 * bits[s - 2] + 4 * bits[s - 1] + 2 * bits[s] + bits[s + 1]
+            off, on = placed[j, 2] / f, placed[j, 3] / f
+            told += scan_response.likelihood(off, on, x, k, shape, least, scale)
+            told -= math.lgamma(off + 1.0) + math.lgamma(on + 1.0)
+            for p in range(2):
+                full = mean[x, p, k] + stray
+                fit[row_of[j]] += (placed[j, 2 + p] * np.log(full) - full) / f
+    return float(burst), float(told)
+
+
 def _entry(sources: int) -> Callable[..., tuple[float, Floats]]:
     """Return `learn`, cached under these sources (`heliograph.link.stamp`)."""
 
     @numba.njit(cache=True, nogil=True)
     def kernel(
-        rows: Floats, turn_t: Floats, turn_on: Flags, first: float, period: float, rate: Floats, weight: Floats
+        rows: Floats,
+        turn_t: Floats,
+        turn_on: Flags,
+        first: float,
+        period: float,
+        q: float,
+        frame_bits: int,
+        rate: Floats,
+        weight: Floats,
     ) -> tuple[float, Floats]:
         """See `begin`; rows (n, 3) are all scans of the window. Return a burst's events and each's log-likelihood."""
         slots = min(int((rows[-1, 0] - first) / period + 0.5) + 1, _SLOTS) if sources >= 0 else 0
@@ -89,25 +191,17 @@ def _entry(sources: int) -> Callable[..., tuple[float, Floats]]:
                 per_slot[s] += 1
         bits = np.zeros(slots + 1, np.int64)
         _levels(turn_t, turn_on, first, period, bits)
-        full, logs = np.empty(rate.shape), np.empty(rate.shape)
-        likely, loglikelihood = np.empty((slots, CONTEXTS)), np.empty(CONTEXTS)
-        for _ in range(ROUNDS):
-            scan_response.guess(bits, 2, placed[:n], rate, weight)
-            burst = scan_response.tabulate(rate, full, logs)
-            for s in range(slots):
-                scan_response.likelihoods(grouped[s], per_slot[s], full, logs, burst, loglikelihood)
-                scan_demodulator.temper(loglikelihood, likely[s])
-            _viterbi(likely, bits)
-        scan_response.guess(bits, 2, placed[:n], rate, weight)
-        burst = scan_response.tabulate(rate, full, logs)
-        f = max(1.0, burst / scan_response.WITNESSES)
-        fit = np.zeros(len(rows))
-        for j in range(n):
-            s, k = int(placed[j, 0]), int(placed[j, 1])
-            if s >= 2:
-                x = 8 * bits[s - 2] + 4 * bits[s - 1] + 2 * bits[s] + bits[s + 1]
-                for p in range(2):
-                    fit[row_of[j]] += (placed[j, 2 + p] * logs[x, p, k] - full[x, p, k]) / f
+        repeated = bits.copy()
+        fit = np.empty(len(rows))
+        window = (grouped, per_slot, placed[:n], row_of[:n])
+        burst, told = _settle(window, 0, q, bits, (rate, weight), fit)
+        if slots >= FRAMES * frame_bits:
+            other_rate, other_weight, other = np.empty(rate.shape), np.empty(weight.shape), np.empty(len(rows))
+            other_burst, other_told = _settle(window, frame_bits, q, repeated, (other_rate, other_weight), other)
+            if other_told > told:
+                rate[:] = other_rate
+                weight[:] = other_weight
+                return other_burst, other
         return burst, fit
 
     return cast("Callable[..., tuple[float, Floats]]", kernel)
@@ -117,8 +211,9 @@ _KERNEL: Final = _entry(stamp(clock, scan_demodulator, scan_response, scan_state
 
 
 def begin(
-    scanned: scan_state.ScanState, t: Floats, on: Flags, until: float, found: Floats, turn_t: Floats, turn_on: Flags
-) -> Floats | None:
+    scanned: scan_state.ScanState, t: Floats, on: Flags, until: float, found: Floats, turns: tuple[Floats, Flags],
+    frame_bits: int,
+) -> Floats | None:  # fmt: skip
     """Begin with a clock that turns have shown.
 
     Args:
@@ -127,8 +222,8 @@ def begin(
         on: (n,) polarities.
         until: end of the window.
         found: (4,) of `heliograph.link.clock.grid`.
-        turn_t: (m,) times of the turns in the window, m > 0.
-        turn_on: (m,) True where the light turned up.
+        turns: (m,) times of the turns in the window, and (m,) True where the light turned up.
+        frame_bits: of the code.
 
     Returns:
         How likely each of the window's scans is, in nats, up to a constant of its own: (m,), the same scans for every
@@ -138,12 +233,12 @@ def begin(
     n = scans.group(t, on, at, counts)
     at, counts = at[:n], counts[:n]
     q = scans.quantum(at)
-    if q == 0.0 or len(turn_t) == 0:
+    if q == 0.0 or len(turns[0]) == 0:
         return None
     rows = scans.all_scans(at, counts, q, until)
     first, period = float(found[0]), float(found[1])
-    burst, fit = _KERNEL(rows, turn_t, turn_on, first, period, scanned.rate, scanned.weight)
-    scan_response.tabulate(scanned.rate, scanned.full, scanned.log_rate)
+    burst, fit = _KERNEL(rows, turns[0], turns[1], first, period, q, frame_bits, scanned.rate, scanned.weight)
+    scan_response.tabulate(scanned.rate, scanned.weight, q, scanned.mean, scanned.shape, scanned.least, scanned.scale)
     scanned.floats[:] = 0.0
     scanned.floats[scan_state.QUANTUM] = q
     scanned.floats[scan_state.SCAN] = rows[0, 0] - q

@@ -41,7 +41,7 @@ class ScanState(NamedTuple):
         turned: (RING, 2) of the slots: 1 where the light turned up, -1 down, 0 not; how far behind the boundary.
         before: (RING, 8) how likely the three bits before a slot's boundary are, by all slots before it.
         likely: (RING, 16) likelihoods of the slots.
-        rate, full, log_rate: (16, 2, SUB) and weight: (16, SUB), see `heliograph.link.scan_response`.
+        rate, mean, shape, least: (16, 2, SUB) and weight, scale: (16, SUB), see `heliograph.link.scan_response`.
     """
 
     floats: Floats
@@ -52,9 +52,11 @@ class ScanState(NamedTuple):
     before: Floats
     likely: Floats
     rate: Floats
-    full: Floats
-    log_rate: Floats
     weight: Floats
+    mean: Floats
+    shape: Floats
+    least: Floats
+    scale: Floats
 
 
 def new_scan_state() -> ScanState:
@@ -68,7 +70,9 @@ def new_scan_state() -> ScanState:
         before=np.full((RING, 8), 0.125),
         likely=np.ones((RING, CONTEXTS)),
         rate=np.zeros((CONTEXTS, 2, SUB)),
-        full=np.zeros((CONTEXTS, 2, SUB)),
-        log_rate=np.zeros((CONTEXTS, 2, SUB)),
         weight=np.zeros((CONTEXTS, SUB)),
+        mean=np.zeros((CONTEXTS, 2, SUB)),
+        shape=np.ones((CONTEXTS, 2, SUB)),
+        least=np.zeros((CONTEXTS, 2, SUB)),
+        scale=np.zeros((CONTEXTS, SUB)),
     )
