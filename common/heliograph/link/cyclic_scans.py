@@ -30,6 +30,8 @@ NOMINAL: Final = 0.25
 WINDOW_BLOCKS_A_BIT: Final = 36.0
 
 # No rates: the events are no scans.
+# Images are as long as half a bit to the camera's clock; a sensor's scans are so by accident only.
+IN_STEP: Final = 1e-3
 _NONE: Final[clock.Floats] = np.array([[1.0, 0.0]])
 
 # Half the delay ON - OFF, in bits, is known but for half bits; a rise that much behind a fall is a fall that is late:
@@ -64,6 +66,11 @@ class ScanSearch:
     def known(self) -> bool:
         """Whether the events are known to be scans."""
         return self._quantum > 0.0
+
+    @property
+    def drift(self) -> bool:
+        """Whether the events are scans, and not two a nominal bit, as images are taken."""
+        return self.known and abs(self._quantum - 0.5) > IN_STEP
 
     def look(self, t_us: Times) -> bool:
         """Learn from events held whether they are scans; return it."""

@@ -1,10 +1,11 @@
 """Text of beacons whose clock is off: the bit rate is measured before framing is looked for.
 
 The cold start (`heliograph.link.uart_lock`) explains sixteen characters with bits of a given length, and half a per
-cent too long is .06 bit at a character's end. So while nothing is read, the light's own bit rate is looked for in every
-WINDOW_BLOCKS blocks of 16 bits since it came (`heliograph.link.clock`, +-5 %), just before the first cold start. Where
-it shows, and lies more than OFF from the rate that is tried, a receiver of text of the measured rate takes over, with
-the window's events. The nominal one does all that a beacon of a good clock needs: for it nothing changes.
+cent too long is .06 bit at a character's end. So the light's own bit rate is looked for in each window of WINDOW_BLOCKS
+blocks of 16 bits since it came (`heliograph.link.clock`, +-5 %) in which nothing is read; the first ends just before
+the first cold start. Where it shows, and lies more than OFF from the rate that is tried, a receiver of text of the
+measured rate takes over, with the window's events. The nominal one does all that a beacon of a good clock needs: for it
+nothing changes.
 """
 
 from __future__ import annotations
@@ -44,29 +45,33 @@ class ClockedTextReceiver:
         self._f = 1.0  # bits a nominal bit of the receiver that reads
         self._text = TextReceiver(bit_rate)
         self.refusals = self._text.refusals
+        self._window_us = int(WINDOW_BLOCKS * clock.BLOCK_BITS * self._bit_us)
         self._begin_us: int | None = None  # of the window; None until there is light to look at
+        self._lit = False  # whether the window has an event
+        self._reading = False  # whether text was being read when it began
         self._t_us: Times = np.empty(0, np.int64)
         self._on: Flags = np.empty(0, np.bool_)
 
     def feed(self, t_us: Times, on: Flags, until_us: int) -> list[LinkFrame | Text]:
         """Take events and return what they decide; see the contract."""
         out: list[LinkFrame | Text] = []
-        while self._text.due_us() == NEVER_US:
+        while True:
             if self._begin_us is None:
                 if not len(t_us):
                     break
-                self._begin_us = int(t_us[0])
-            end_us = self._begin_us + int(WINDOW_BLOCKS * clock.BLOCK_BITS * self._bit_us)
+                # What is known at this event, however the input is cut.
+                out += self._text.feed(t_us[:0], on[:0], int(t_us[0]))
+                self._open(int(t_us[0]))
+            end_us = self._begin_us + self._window_us
             stop = int(np.searchsorted(t_us, min(end_us, until_us)))
-            self._t_us = np.concatenate([self._t_us, t_us[:stop]])[:WINDOW_EVENTS]
-            self._on = np.concatenate([self._on, on[:stop]])[:WINDOW_EVENTS]
+            self._hold(t_us[:stop], on[:stop])
             if until_us < end_us:
                 break
             out += self._text.feed(t_us[:stop], on[:stop], end_us)
             t_us, on = t_us[stop:], on[stop:]
-            if self._text.due_us() == NEVER_US:
+            if not self._reading and self._text.due_us() == NEVER_US:
                 out += self._look(self._begin_us, end_us)
-            self._forget()
+            self._open(end_us if self._lit else None)
         return out + self._text.feed(t_us, on, until_us)
 
     def due_us(self) -> int:
@@ -92,9 +97,19 @@ class ClockedTextReceiver:
             return quality
         return replace(quality, clock_ppm=(quality.bit_rate / self._bit_rate - 1.0) * 1e6)
 
-    def _forget(self) -> None:
-        self._begin_us = None
+    def _open(self, begin_us: int | None) -> None:
+        """Begin the next window; behind one without an event, with the next event (None)."""
+        self._begin_us = begin_us
+        self._reading = self._text.due_us() != NEVER_US
+        self._lit = False
         self._t_us, self._on = self._t_us[:0], self._on[:0]
+
+    def _hold(self, t_us: Times, on: Flags) -> None:
+        """Keep the window's events, unless text is being read."""
+        self._lit = self._lit or len(t_us) > 0
+        if not self._reading:
+            self._t_us = np.concatenate([self._t_us, t_us])[:WINDOW_EVENTS]
+            self._on = np.concatenate([self._on, on])[:WINDOW_EVENTS]
 
     def _look(self, begin_us: int, end_us: int) -> list[LinkFrame | Text]:
         """Look at a whole window; where it shows another rate than is tried, try that one from its beginning on."""
