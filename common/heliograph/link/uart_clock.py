@@ -56,13 +56,14 @@ class ClockedTextReceiver:
         """Take events and return what they decide; see the contract."""
         out: list[LinkFrame | Text] = []
         while True:
-            if self._begin_us is None:
+            if (begin_us := self._begin_us) is None:
                 if not len(t_us):
                     break
                 # What is known at this event, however the input is cut.
-                out += self._text.feed(t_us[:0], on[:0], int(t_us[0]))
-                self._open(int(t_us[0]))
-            end_us = self._begin_us + self._window_us
+                begin_us = int(t_us[0])
+                out += self._text.feed(t_us[:0], on[:0], begin_us)
+                self._open(begin_us)
+            end_us = begin_us + self._window_us
             stop = int(np.searchsorted(t_us, min(end_us, until_us)))
             self._hold(t_us[:stop], on[:stop])
             if until_us < end_us:
@@ -70,7 +71,7 @@ class ClockedTextReceiver:
             out += self._text.feed(t_us[:stop], on[:stop], end_us)
             t_us, on = t_us[stop:], on[stop:]
             if not self._reading and self._text.due_us() == NEVER_US:
-                out += self._look(self._begin_us, end_us)
+                out += self._look(begin_us, end_us)
             self._open(end_us if self._lit else None)
         return out + self._text.feed(t_us, on, until_us)
 
