@@ -75,7 +75,9 @@ TWO_A_BIT: Final = 0.6
 SCAN_LEAST: Final = 0.15
 # Of a word of two edges: that it has no other is all that is asked, and worth nothing.
 ALONE: Final = 1e-6
-# The edges of a light that is slow and sharp come in bursts whole bits apart. Those of scans have one time each.
+# The edges of a light that is slow and sharp come in bursts whole bits apart. Those of scans have one time each. So have
+# those of images, of which a bit may last two: then the bursts are whole bits apart to the camera's clock.
+IN_STEP: Final = 1e-3
 WHOLE: Final = 0.05
 STAMPS: Final = 1.5
 # What the camera's clock and a PLL's last step leave: bounds the logarithm.
@@ -128,7 +130,8 @@ def read_out(t: Floats) -> float:
     q = float(near.mean())
     if q < SCAN_LEAST or len(near) < IN_A_ROW * len(gaps):
         return 0.0
-    if abs(q - max(round(q), 1)) < WHOLE and len(np.unique(t)) > STAMPS * len(begun):
+    whole = abs(q - max(round(q), 1))
+    if whole < IN_STEP or (whole < WHOLE and len(np.unique(t)) > STAMPS * len(begun)):
         return 0.0
     short = gaps[gaps < FAR * q] / q
     return q if float(np.mean(np.abs(short - np.round(short)) < NEAR)) >= ON_GRID else 0.0
