@@ -75,7 +75,7 @@ TWO_A_BIT: Final = 0.6
 SCAN_LEAST: Final = 0.15
 # Of a word of two edges: that it has no other is all that is asked, and worth nothing.
 ALONE: Final = 1e-6
-# The edges of a light that is slow and sharp come in bursts whole bits apart. Those of scans have one time each. So have
+# The edges of a light that is slow and sharp come in bursts whole bits apart. Those of scans have one time each. So do
 # those of images, of which a bit may last two: then the bursts are whole bits apart to the camera's clock.
 IN_STEP: Final = 1e-3
 WHOLE: Final = 0.05
