@@ -1,4 +1,4 @@
-"""The beacon's serial protocol as a test speaks it: written from firmware/PROTOCOL.md, and sharing no code with either side."""
+"""The beacon's serial protocol as a test speaks it: written from firmware/PROTOCOL.md, sharing no code with any side."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ VERSION: Final = 1
 HELLO, GET, SET, ARM, DISARM, QUEUE, CLEAR, STATUS, SAVE = range(1, 10)
 REPLY: Final = 0x80
 BOOT, DARK, ON_AIR, MESSAGE = range(0x41, 0x45)
-(OK, UNKNOWN, LENGTH, RANGE, AMBIGUOUS, UNSUPPORTED, FULL, NOT_NOW, STORAGE, WRONG_BOOT, WRONG_VERSION, NO_PROGRAM) = range(
-    12
+(OK, UNKNOWN, LENGTH, RANGE, AMBIGUOUS, UNSUPPORTED, FULL, NOT_NOW, STORAGE, WRONG_BOOT, WRONG_VERSION, NO_PROGRAM) = (
+    range(12)
 )
 SEED11, CODE, UART, PACKET = range(1, 5)
 
@@ -80,16 +80,26 @@ def record(
     payload: int = 0,
     *,
     bit_rate: float = 1000.0,
-    option: int = 0,
+    option: int | None = None,
     size: int | None = None,
     gap: int = 0,
     power: int = 1000,
     kind: int = 0,
     text: bytes = b"",
 ) -> bytes:
-    """Return a program as SET says it."""
+    """Return a program as SET says it; packets are of 16 bytes at rate 2/3, unless said otherwise."""
     block = 16 if protocol == PACKET else 0
-    head = (protocol, option, block if size is None else size, gap, round(1000 * bit_rate), power, payload, kind)
+    usual = 1 if protocol == PACKET else 0
+    head = (
+        protocol,
+        usual if option is None else option,
+        block if size is None else size,
+        gap,
+        round(1000 * bit_rate),
+        power,
+        payload,
+        kind,
+    )
     return struct.pack(">BBBBIHIB", *head) + text
 
 
@@ -148,7 +158,7 @@ class Host:
 
     def again(self, wire: bytes, seq: int) -> Body:
         """Return the reply to these bytes."""
-        replies = []
+        replies: list[Body] = []
         for body in parse(self.exchange(wire)):
             (replies if body.type & REPLY else self.events).append(body)
         (reply,) = replies

@@ -1,0 +1,104 @@
+"""Build the beacon's firmware for tests, and drive it on a clock of the test's own."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Self
+
+import pytest
+
+from support import beacon_wire as wire
+
+ROOT = Path(__file__).resolve().parents[2]
+FIRMWARE = ROOT / "firmware"
+# The edge checker is a tool of the firmware's, for people with a logic analyser.
+sys.path.insert(0, str(FIRMWARE / "tools"))
+
+import edge_check  # noqa: E402 - found by the line above
+
+__all__ = ["FIRMWARE", "ROOT", "Script", "build", "edge_check", "lit_within"]
+
+
+def build(target: str, folder: Path, **variables: str) -> Path:
+    """Make a target of the firmware's Makefile in a folder; return the folder. Skips where there is no compiler."""
+    for tool in ("make", variables.get("CC", "cc")):
+        if shutil.which(tool) is None:
+            pytest.skip(f"building the firmware needs {tool}, which is not here")
+    settings = [f"{name}={value}" for name, value in {"BUILD": str(folder), **variables}.items()]
+    done = subprocess.run(
+        ["make", "-C", str(FIRMWARE), target, *settings], capture_output=True, text=True, check=False, timeout=110
+    )
+    assert done.returncode == 0, f"make {target} failed:\n{done.stdout}{done.stderr}"
+    return folder
+
+
+class Script:
+    """A beacon whose time stands still until `run`: `firmware/fakes/script.c`."""
+
+    def __init__(self, program: Path, *arguments: object) -> None:
+        self.process = subprocess.Popen(
+            [str(program), *map(str, arguments)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        self.edges: list[edge_check.Edge] = []
+        self.kept: list[bytes] = []
+        self.now_ns = 0
+        self.host = wire.Host(self.exchange)
+        self.host.events += wire.parse(self._answers())
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        self.process.stdin.close()
+        self.process.stdout.close()
+        assert self.process.wait(10) == 0
+
+    def tell(self, *words: object) -> bytes:
+        """Give a command; return what was put on the line."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(" ".join(map(str, words)) + "\n")
+        self.process.stdin.flush()
+        return self._answers()
+
+    def exchange(self, bytes_in: bytes) -> bytes:
+        """Put bytes on the line; return what came back."""
+        return self.tell("rx", bytes_in.hex())
+
+    def run(self, seconds: float, how: str = "run") -> None:
+        """Let time pass; events are kept by the host."""
+        ns = round(seconds * 1e9)
+        self.now_ns += ns
+        self.host.events += wire.parse(self.tell(how, ns))
+
+    def check(self, protocol: str, bit_rate: float, since_ns: int = 0, **options: Any) -> edge_check.Report:
+        """Return what the light held since a time."""
+        gap = options.pop("gap", 0)
+        edges = [edge for edge in self.edges if edge[0] >= since_ns]
+        return edge_check.check(edges, protocol, bit_rate, options, gap)
+
+    def _answers(self) -> bytes:
+        assert self.process.stdout is not None
+        said = b""
+        for line in self.process.stdout:
+            word, _, rest = line.strip().partition(" ")
+            if word == ".":
+                return said
+            if word == "tx":
+                said += bytes.fromhex(rest)
+            elif word == "edge":
+                self.edges += edge_check.read_edges([rest])
+            else:
+                self.kept.append(bytes.fromhex(rest))
+        raise ConnectionError("the beacon ended")
+
+
+def lit_within(edges: Sequence[edge_check.Edge], begin_ns: int, end_ns: int) -> bool:
+    """Return whether there was light at any time in [begin_ns, end_ns)."""
+    level_before = next((level for t_ns, level in reversed(edges) if t_ns <= begin_ns), 0)
+    return bool(level_before) or any(level for t_ns, level in edges if begin_ns <= t_ns < end_ns)
