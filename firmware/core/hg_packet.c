@@ -64,7 +64,7 @@ static uint16_t body_bits(uint16_t steps, const pattern *sent)
     uint16_t n = 0;
     for (uint16_t t = 0; t < steps; t++) {
         const uint8_t phase = (uint8_t)(t % sent->period);
-        n = (uint16_t)(n + ((sent->a >> phase) & 1u) + ((sent->b >> phase) & 1u));
+        n = (uint16_t)(n + ((sent->a >> phase) & 1) + ((sent->b >> phase) & 1));
     }
     return n;
 }
@@ -118,7 +118,7 @@ void hg_packet_frame(hg_bits *bits, const hg_packet *packet, uint8_t block, uint
     uint8_t phase = 0;
     uint16_t place = 0;
     for (uint16_t t = 0; t < steps; t++) {
-        const bool bit = t < data_bits && ((whole[t >> 3] >> (7u - (t & 7u))) & 1u) != 0u;
+        const bool bit = t < data_bits && ((whole[t >> 3] >> (7u - (t & 7u))) & 1) != 0;
         window = (uint8_t)((bit ? 0x40u : 0u) | (window >> 1));
         for (uint8_t branch = 0; branch < 2u; branch++) {
             const uint8_t mask = branch == 0u ? sent->a : sent->b;

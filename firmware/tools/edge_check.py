@@ -214,7 +214,7 @@ def check(
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Print a capture's report as JSON; return 0 where no frame is damaged and each interval is within the tolerance."""
+    """Print a capture's report as JSON; return 0 where no frame is damaged and no interval beyond the tolerance."""
     parser = argparse.ArgumentParser(description="Check the edges of a beacon's light.")
     parser.add_argument("file", type=Path)
     parser.add_argument("--protocol", required=True, choices=("seed11", "code", "uart", "packet"))

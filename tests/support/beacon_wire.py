@@ -1,4 +1,4 @@
-"""The beacon's serial protocol as a test speaks it: written from firmware/PROTOCOL.md, sharing no code with any side."""
+"""The beacon's serial protocol as a test speaks it: from firmware/PROTOCOL.md, sharing no code with any side."""
 
 from __future__ import annotations
 

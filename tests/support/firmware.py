@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import random
 import shutil
+import struct
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -20,7 +22,7 @@ sys.path.insert(0, str(FIRMWARE / "tools"))
 
 import edge_check  # noqa: E402 - found by the line above
 
-__all__ = ["FIRMWARE", "ROOT", "Script", "build", "edge_check", "lit_within"]
+__all__ = ["FIRMWARE", "ROOT", "Script", "build", "edge_check", "lit_within", "live_changes", "needs"]
 
 
 def build(target: str, folder: Path, **variables: str) -> Path:
@@ -36,8 +38,14 @@ def build(target: str, folder: Path, **variables: str) -> Path:
     return folder
 
 
+def needs(what: str, package: str) -> None:
+    """Skip where a program or a file is absent; Debian's package is named."""
+    if shutil.which(what) is None and not Path(what).is_file():
+        pytest.skip(f"{what} is not here (Debian: {package})")
+
+
 class Script:
-    """A beacon whose time stands still until `run`: `firmware/fakes/script.c`."""
+    """A beacon whose time stands still until `run`: `firmware/fakes/script.c`, or an emulator that obeys its words."""
 
     def __init__(self, program: Path, *arguments: object) -> None:
         self.process = subprocess.Popen(
@@ -93,9 +101,36 @@ class Script:
                 said += bytes.fromhex(rest)
             elif word == "edge":
                 self.edges += edge_check.read_edges([rest])
-            else:
+            elif word == "now":
+                self.now_ns = int(rest)
+            elif word == "kept":
                 self.kept.append(bytes.fromhex(rest))
         raise ConnectionError("the beacon ended")
+
+
+def live_changes(beacon: Script, changes: int, bit_rate: float = 5000.0) -> tuple[edge_check.Report, bool]:
+    """Change the payload of `seed11` so often while it blinks.
+
+    Returns:
+        What the light held, and whether it held these payloads and nothing else, in this order.
+    """
+    draw = random.Random(3)
+    twins = {14, 60, 15, 56, 23, 57, 28, 30, 29, 46, 39, 58, 59, 63, 61, 62}
+    fine = [payload for payload in range(64) if payload not in twins]
+    sent = [42]
+    beacon.host.done(wire.SET, wire.record(wire.SEED11, 42, bit_rate=bit_rate))
+    beacon.host.done(wire.ARM, struct.pack(">I", 3_600_000))
+    for _ in range(changes):
+        # Two frames at least, so that each is seen; at no fixed place in a frame.
+        beacon.run(draw.uniform(2.2, 4.0) * 11 / bit_rate)
+        sent.append(draw.choice([payload for payload in fine if payload != sent[-1]]))
+        beacon.host.done(wire.SET, wire.record(wire.SEED11, sent[-1], bit_rate=bit_rate))
+    beacon.run(4 * 11 / bit_rate)
+    report = beacon.check("seed11", bit_rate)
+    heard = [
+        payload for payload, before in zip(report.frames, [None, *report.frames], strict=False) if payload != before
+    ]
+    return report, heard == sent
 
 
 def lit_within(edges: Sequence[edge_check.Edge], begin_ns: int, end_ns: int) -> bool:
