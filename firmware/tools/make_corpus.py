@@ -1,7 +1,7 @@
 """Write first inputs for firmware/fuzz/fuzz_beacon.c: `python firmware/tools/make_corpus.py FOLDER`.
 
-A program of every protocol, lit, with messages, saved and rebooted: so the fuzzer begins behind the checks of length and
-range, and not before them.
+A program of every protocol, lit, with messages, saved and rebooted: so the fuzzer begins behind the checks of length
+and range, and not before them.
 """
 
 from __future__ import annotations

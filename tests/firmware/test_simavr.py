@@ -103,7 +103,12 @@ def test_it_is_dark_within_one_bit_of_disarm_wherever_in_a_bit_it_comes(avr: Scr
         assert avr.edges[-1][0] - before_ns <= 2_000_000 + 1_400_000
 
 
-def test_a_saved_program_outlives_the_watchdogs_reset_but_does_not_light(avr: Script) -> None:
+def test_a_program_is_written_to_the_eeprom_while_it_blinks_and_no_frame_is_damaged(avr: Script) -> None:
     avr.host.done(SET, record(SEED11, 5, bit_rate=1000))
+    avr.host.done(ARM, FOREVER)
     avr.host.done(SAVE)
     assert avr.host.status().saved
+    avr.run(0.1)
+    report = avr.check("seed11", 1000)
+    assert set(report.frames) == {5}
+    assert not report.damaged

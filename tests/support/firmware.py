@@ -8,6 +8,7 @@ import struct
 import subprocess
 import sys
 from collections.abc import Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Self
 
@@ -108,8 +109,16 @@ class Script:
         raise ConnectionError("the beacon ended")
 
 
-def live_changes(beacon: Script, changes: int, bit_rate: float = 5000.0) -> tuple[edge_check.Report, bool]:
+def live_changes(
+    beacon: Script, changes: int, bit_rate: float = 5000.0, ahead_frames: float = 0.0
+) -> tuple[edge_check.Report, bool]:
     """Change the payload of `seed11` so often while it blinks.
+
+    Args:
+        beacon: greeted.
+        changes: how many.
+        bit_rate: bits a second.
+        ahead_frames: so much is prepared ahead of the pin; of changes that follow each other faster, some are not seen.
 
     Returns:
         What the light held, and whether it held these payloads and nothing else, in this order.
@@ -122,14 +131,12 @@ def live_changes(beacon: Script, changes: int, bit_rate: float = 5000.0) -> tupl
     beacon.host.done(wire.ARM, struct.pack(">I", 3_600_000))
     for _ in range(changes):
         # Two frames at least, so that each is seen; at no fixed place in a frame.
-        beacon.run(draw.uniform(2.2, 4.0) * 11 / bit_rate)
+        beacon.run((draw.uniform(2.2, 4.0) + ahead_frames) * 11 / bit_rate)
         sent.append(draw.choice([payload for payload in fine if payload != sent[-1]]))
         beacon.host.done(wire.SET, wire.record(wire.SEED11, sent[-1], bit_rate=bit_rate))
-    beacon.run(4 * 11 / bit_rate)
+    beacon.run((4 + ahead_frames) * 11 / bit_rate)
     report = beacon.check("seed11", bit_rate)
-    heard = [
-        payload for payload, before in zip(report.frames, [None, *report.frames], strict=False) if payload != before
-    ]
+    heard = [payload for payload, _ in groupby(report.frames)]
     return report, heard == sent
 
 

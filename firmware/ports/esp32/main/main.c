@@ -27,7 +27,7 @@
 #define US_PER_MS 1000
 #define SPACE "heliograph"
 #define KEY "program"
-/* Five hundred bits of the RMT's memory would be 100 ms at 5 kbit/s; above 10 kbit/s a symbol's halves get short. */
+/* Below 50 bit/s nobody asks; above 10 kbit/s the interrupt would come every 3 ms. */
 #define RATE_LEAST 50000u
 #define RATE_MOST 10000000u
 
