@@ -7,7 +7,7 @@ import socket
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, Self
 
 VERSION: Final = 1
 HELLO, GET, SET, ARM, DISARM, QUEUE, CLEAR, STATUS, SAVE = range(1, 10)
@@ -188,6 +188,15 @@ class TcpLine:
     def __init__(self, port: int, timeout_s: float = 20.0) -> None:
         self.socket = socket.create_connection(("127.0.0.1", port), timeout_s)
         self._rest = b""
+
+    @classmethod
+    def of(cls, connection: socket.socket, timeout_s: float) -> Self:
+        """Return the line of a connection that the other side made."""
+        line = cls.__new__(cls)
+        line.socket = connection
+        line.socket.settimeout(timeout_s)
+        line._rest = b""
+        return line
 
     def __call__(self, wire: bytes) -> bytes:
         """Send bytes; return the frames up to the reply."""
