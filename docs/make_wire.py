@@ -44,6 +44,7 @@ SENDERS: Final = {
     "progress": "every service that paces a source",
     "health": "every service",
     "metrics": "metrics_sink",
+    "beacon": "beacon_controller",
     "live": "every service",
 }
 CHUNKS: Final = {
@@ -56,7 +57,7 @@ CHUNKS: Final = {
     "health": "{service}/{instance}",
     "live": "{service}/{instance}",
 }
-RESERVED: Final = ("clock", "beacon")
+RESERVED: Final = ("clock",)
 # What travels as packed arrays checks its body by a record of its own.
 BODIES: Final[dict[str, type[msgspec.Struct]]] = {
     "events": streams._EventsBody,  # noqa: SLF001 - the page documents just this
@@ -81,6 +82,9 @@ def type_words(kind: Any) -> str:
         return f"{get_origin(kind).__name__} of " + ", ".join(type_words(part) for part in get_args(kind))
     if kind is type(None):
         return "nil"
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        hints = typing.get_type_hints(kind, include_extras=True)
+        return f"map of {', '.join(f'`{name}` {type_words(hint)}' for name, hint in hints.items())}"
     return {"str": "str", "int": "int", "float": "float", "bool": "bool", "bytes": "bin"}.get(kind.__name__, "array")
 
 

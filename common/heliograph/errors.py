@@ -73,6 +73,18 @@ class Refusal(Enum):
     CHECKSUM = "checksum"
     REPEATED = "received before"
     LOST = "message lost"
+    # Commands to beacons, in the order in which they are checked behind those of any message.
+    NOT_EXACT = "not asked on the exact key of a listed beacon"
+    NOT_AUTHENTIC = "command without the site's secret"
+    EXPIRED = "command expired"
+    EXPIRES_LATE = "command lives too long"
+    REPLAYED = "nonce used before"
+    TOO_FREQUENT = "commands too frequent"
+    NOT_ALLOWED = "beyond what the site allows"
+    # What comes from a beacon's line.
+    NOT_ASKED = "answer to nothing that was asked"
+    NONSENSE = "answer breaks the beacon protocol"
+    OTHER_BEACON = "another beacon answers in its place"
 
 
 Refusals = Counter[Refusal]

@@ -43,6 +43,8 @@ TOPICS: Final[dict[str, int]] = {
 }
 # A process names the same few keys a thousand times a second: those of its cameras, and of the tracks of the moment.
 KEYS_KEPT: Final = 1024
+# Schemas whose topic is not their own name: the rest of the key.
+_OF_BEACONS: Final = {"beacon": "state", "beacon_cmd": "cmd", "beacon_reply": "cmd"}
 _CHUNK: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.:-]{0,63}")
 
 
@@ -89,6 +91,8 @@ def _key(site: str, topic: str, parts: tuple[str, ...]) -> str:
 
 def key_of(site: str, message: Message) -> str:
     """Return the key of a record: its schema is the topic, its names are the parts."""
+    if message.SCHEMA in _OF_BEACONS:
+        return key(site, "beacon", getattr(message, "name"), _OF_BEACONS[message.SCHEMA])  # noqa: B009 - as below
     if TOPICS[message.SCHEMA] == 1:
         return key(site, message.SCHEMA, getattr(message, "camera"))  # noqa: B009 - not every record has it
     names = ("service", "instance") if message.SCHEMA in {"health", "metrics"} else ("camera", "track")

@@ -25,7 +25,7 @@ import msgpack
 import msgspec
 from msgspec import Meta
 
-from heliograph import flow, messages, streams
+from heliograph import beacons, flow, messages, streams
 from heliograph.errors import Refusal
 from heliograph.messages import TIME_LIMIT_US, Message
 
@@ -49,6 +49,9 @@ SCHEMAS: Final[dict[str, type[Message]]] = {
         messages.Metrics,
         messages.Clock,
         flow.Flow,
+        beacons.BeaconState,
+        beacons.BeaconCommand,
+        beacons.BeaconReply,
     )
 }
 

@@ -153,22 +153,35 @@ class Bus:
     def publish(self, message: Message) -> None:
         """Send a record on its key; never blocks, never fails on a closed link."""
         key_text = key_of(self.site, message)
-        mono_ns = time.monotonic_ns()
         with self._lock:
-            seq = self._seq.pop(key_text, 0)
-            self._seq[key_text] = seq + 1
-            header = header_for(
-                message,
-                source=self._source,
-                boot=self.boot,
-                seq=seq,
-                mono_ns=mono_ns,
-                wall_ns=time.time_ns(),
-            )
-            payload = pack(header, message)
+            mono_ns = time.monotonic_ns()
+            payload = self._sealed(key_text, message, mono_ns)
             self._publisher(key_text, message, mono_ns / 1e9).put(payload)
             self.published[message.SCHEMA] += 1
             self.bytes_out += len(payload)
+
+    def sealed(self, message: Message) -> bytes:
+        """Return a record in its envelope, numbered on its key, for those who ask or answer a query."""
+        with self._lock:
+            return self._sealed(key_of(self.site, message), message, time.monotonic_ns())
+
+    def _sealed(self, key_text: str, message: Message, mono_ns: int) -> bytes:
+        seq = self._seq.pop(key_text, 0)
+        self._seq[key_text] = seq + 1
+        header = header_for(
+            message, source=self._source, boot=self.boot, seq=seq, mono_ns=mono_ns, wall_ns=time.time_ns()
+        )
+        return pack(header, message)
+
+    @property
+    def session(self) -> zenoh.Session:
+        """The open session, for the rest of the shell."""
+        return self._session
+
+    def keep(self, declared: Any, reader: threading.Thread) -> None:
+        """Withdraw what else the shell has declared, and wait for its reader, when this bus is closed."""
+        self._held.append(declared)
+        self._readers.append(reader)
 
     def _publisher(self, key_text: str, message: Message, now_s: float) -> Any:
         publisher = self._publishers.pop(key_text, None)

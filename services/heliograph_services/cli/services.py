@@ -13,6 +13,7 @@ KINDS: Final[dict[str, tuple[str, str]]] = {
     "event_source": ("heliograph_services.event_source.config", "EventSourceConfig"),
     "tracker": ("heliograph_services.tracker.config", "TrackerConfig"),
     "decoder": ("heliograph_services.decoder.config", "DecoderConfig"),
+    "beacon_controller": ("heliograph_services.beacon_controller.config", "BeaconControllerConfig"),
     "metrics_sink": ("heliograph_services.metrics_sink.config", "MetricsSinkConfig"),
 }
 
