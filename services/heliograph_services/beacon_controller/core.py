@@ -163,8 +163,8 @@ class ControllerCore:
 
     def wake_s(self) -> float:
         """Return when `step` has something to do again, unless something comes in before."""
-        lines = [line.wake_s() for line in self._lines.values()]
-        return min([*lines, *(keeper.wake_s() for keeper in self._keepers.values() if keeper.has_jobs)], default=1e18)
+        lines = (line.wake_s() for line in self._lines.values())
+        return min([*lines, *(keeper.deadline_s for keeper in self._keepers.values())], default=float("inf"))
 
     def _adapt(self, keeper: Keeper, now_s: float) -> None:
         if self._adapter is None or keeper.bit_rate is None:

@@ -24,7 +24,7 @@ _ECHOES: Final = 8
 # On a UART: a start and a stop bit around each byte.
 _BITS_A_BYTE: Final = 10
 # Payloads of replies, where they are more than a result and a number; the port's name and a text may be shorter.
-_REPLIES: Final = {Kind.HELLO: 56, Kind.GET: 83, Kind.STATUS: 39}
+_REPLIES: Final = {Kind.HELLO: 49, Kind.GET: 82, Kind.STATUS: 43}
 _REPLY: Final = 4
 
 

@@ -136,11 +136,6 @@ class Keeper:
         """What bit rate is wanted."""
         return self._desired.bit_rate
 
-    @property
-    def has_jobs(self) -> bool:
-        """Whether commands wait."""
-        return bool(self._jobs)
-
     def wanted_rate(self, bit_rate: float) -> None:
         """Want another bit rate, without a command (the closed loop)."""
         self._desired = msgspec.structs.replace(self._desired, bit_rate=bit_rate)
@@ -153,9 +148,15 @@ class Keeper:
             why = "it is left alone" if hopeless else f"nothing was confirmed in {self._config.deadline_s:g} s"
             self._finish(job, now_s, "no answer" if link == "ready" else link, why)
 
-    def wake_s(self) -> float:
-        """Return when something of it is due."""
-        return min([self._poll_s, *(job.deadline_s for job in self._jobs)])
+    @property
+    def poll_s(self) -> float:
+        """When it is to be asked how it is, unless there is something else to ask."""
+        return self._poll_s
+
+    @property
+    def deadline_s(self) -> float:
+        """When the first of its waiting commands has failed."""
+        return self._jobs[0].deadline_s if self._jobs else float("inf")
 
     # What to ask next, and what was answered
 

@@ -122,7 +122,7 @@ class Line:
             return float("inf")
         if self._exchange.request is not None or self.keeper is None:
             return self._exchange.wake_s()
-        return self.keeper.wake_s()
+        return self.keeper.poll_s
 
     # Who is there, and does it make sense
 

@@ -20,6 +20,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "decode": ("heliograph_services.cli.decode", "read a recording, in one process"),
     "simulate": ("heliograph_services.cli.simulate", "make a recording of a scene, with its truth"),
     "ids": ("heliograph_services.cli.ids", "follow the identifications of a running site"),
+    "beacon": ("heliograph_services.cli.beacon", "list beacons, set them, let them shine, send messages"),
     "up": ("heliograph_services.cli.supervise", "start the processes of a site file"),
     "down": ("heliograph_services.cli.supervise", "stop them"),
     "status": ("heliograph_services.cli.supervise", "show them"),

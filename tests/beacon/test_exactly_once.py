@@ -1,0 +1,98 @@
+"""On a line that damages every twentieth byte and loses answers, each command ends once, and what was desired comes back."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from heliograph_services.beacon_controller.config import BeaconControllerConfig
+from support.lossy_line import UID, World, command, crane, program_on, status
+from support.virtual_beacon import VirtualBeacon
+
+BAD = 0.05
+LOST = 0.1
+
+
+@pytest.fixture
+def beacon(build: Path) -> Any:
+    made = VirtualBeacon(build, UID, 7)
+    yield made
+    made.close()
+
+
+def settings(**changes: Any) -> BeaconControllerConfig:
+    return BeaconControllerConfig(**{"beacons": (crane(),), "commands_hz": 1000.0, "commands_burst": 1000} | changes)
+
+
+def test_a_thousand_commands_on_a_bad_line_end_once_each_and_are_carried_out_once_each(beacon: VirtualBeacon) -> None:
+    world = World(settings(beacons=(crane(protocol="uart", payload=None, bit_rate=5000.0),)), bad=BAD, lost=LOST)
+    world.plug("a", beacon)
+    draw = random.Random(3)
+    world.end_of(world.ask(command("arm", lease_s=3600.0)))
+    before = status(beacon)
+    ends = {"set": 0, "send": 0, "arm": 0}
+    took: list[float] = []
+    for number in range(1000):
+        op = draw.choice(("set", "send", "arm"))
+        fields: dict[str, Any] = {
+            "set": {"gap_bits": number % 200},
+            "send": {"text": chr(65 + number % 26)},
+            "arm": {"lease_s": 600.0},
+        }[op]
+        ticket = world.ask(command(op, at_s=world.now_s, **fields))
+        reply = world.end_of(ticket)
+        took.append(reply.took_s)
+        ends[op] += reply.outcome == "applied"
+    world.run(world.now_s + 5.0)
+    assert all(len(replies) == 1 for replies in world.replies.values())
+    assert len(world.replies) == 1001
+    assert sum(ends.values()) >= 999
+    after = status(beacon)
+    corrections = world.states["crane"].counters.get("corrections", 0)
+    assert after.program_set - before.program_set == ends["set"]
+    assert after.accepted - before.accepted == ends["send"]
+    assert corrections == 1  # the site's own wish, at the start
+    took.sort()
+    print(f"applied {sum(ends.values())} of 1000; median {took[500] * 1e3:.0f} ms, longest {took[-1] * 1e3:.0f} ms")
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("what", ["reboot", "unplugged", "unplugged and rebooted"])
+def test_the_desired_state_is_back_within_a_second_of_a_clean_line(
+    beacon: VirtualBeacon, what: str, seed: int
+) -> None:
+    assert returned_s(World(settings(), seed=seed), beacon, what) < 1.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("what", ["reboot", "unplugged", "unplugged and rebooted"])
+def test_the_desired_state_is_back_within_a_second_on_a_bad_line(beacon: VirtualBeacon, what: str, seed: int) -> None:
+    assert returned_s(World(settings(), bad=BAD, lost=LOST, seed=seed), beacon, what) < 1.0
+
+
+def returned_s(world: World, beacon: VirtualBeacon, what: str) -> float:
+    """Bring a beacon to its desired state, take it away, bring it back; return how long it then takes."""
+    world.plug("a", beacon)
+    assert world.end_of(world.ask(command("arm", lease_s=600.0))).outcome == "applied"
+    assert world.end_of(world.ask(command("set", payload=21))).outcome == "applied"
+    world.run(world.now_s + 0.5)
+    sets = status(beacon).program_set
+    if "unplugged" in what:
+        world.unplug("a")
+        world.run(world.now_s + 0.7)
+    if "reboot" in what:
+        beacon.reboot()
+        sets = 0
+    if "unplugged" in what:
+        world.plug("a")
+    waiting = world.now_s
+    # Read off the beacon's own memory, not off its answers.
+    took = world.until(lambda: status(beacon).armed and program_on(beacon).payload == 21, 5.0)
+    assert world.now_s - waiting == pytest.approx(took)
+    world.run(world.now_s + 2.0)
+    assert status(beacon).program_set - sets <= 1
+    assert world.states["crane"].link == "ready"
+    return took
