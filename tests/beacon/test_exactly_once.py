@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from heliograph_services.beacon_controller.config import BeaconControllerConfig
-from support.lossy_line import UID, World, command, crane, program_on, status
+from support.lossy_line import UID, World, command, crane
 from support.virtual_beacon import VirtualBeacon
 
 BAD = 0.05
@@ -32,7 +32,7 @@ def test_a_thousand_commands_on_a_bad_line_end_once_each_and_are_carried_out_onc
     world.plug("a", beacon)
     draw = random.Random(3)
     world.end_of(world.ask(command("arm", lease_s=3600.0)))
-    before = status(beacon)
+    before = beacon.look()
     ends = {"set": 0, "send": 0, "arm": 0}
     took: list[float] = []
     for number in range(1000):
@@ -50,9 +50,9 @@ def test_a_thousand_commands_on_a_bad_line_end_once_each_and_are_carried_out_onc
     assert all(len(replies) == 1 for replies in world.replies.values())
     assert len(world.replies) == 1001
     assert sum(ends.values()) >= 999
-    after = status(beacon)
+    after = beacon.look()
     corrections = world.states["crane"].counters.get("corrections", 0)
-    assert after.program_set - before.program_set == ends["set"]
+    assert after.sets - before.sets == ends["set"]
     assert after.accepted - before.accepted == ends["send"]
     assert corrections == 1  # the site's own wish, at the start
     took.sort()
@@ -79,7 +79,7 @@ def returned_s(world: World, beacon: VirtualBeacon, what: str) -> float:
     assert world.end_of(world.ask(command("arm", lease_s=600.0))).outcome == "applied"
     assert world.end_of(world.ask(command("set", payload=21))).outcome == "applied"
     world.run(world.now_s + 0.5)
-    sets = status(beacon).program_set
+    sets = beacon.look().sets
     if "unplugged" in what:
         world.unplug("a")
         world.run(world.now_s + 0.7)
@@ -90,9 +90,9 @@ def returned_s(world: World, beacon: VirtualBeacon, what: str) -> float:
         world.plug("a")
     waiting = world.now_s
     # Read off the beacon's own memory, not off its answers.
-    took = world.until(lambda: status(beacon).armed and program_on(beacon).payload == 21, 5.0)
+    took = world.until(lambda: beacon.look()[1:4:2] == (True, 21), 5.0)
     assert world.now_s - waiting == pytest.approx(took)
     world.run(world.now_s + 2.0)
-    assert status(beacon).program_set - sets <= 1
+    assert beacon.look().sets - sets <= 1
     assert world.states["crane"].link == "ready"
     return took

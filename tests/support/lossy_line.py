@@ -14,9 +14,6 @@ from heliograph.site import Beacon
 from heliograph.wire import header_for, pack
 from heliograph_services.beacon_controller.config import BeaconControllerConfig
 from heliograph_services.beacon_controller.core import ControllerCore
-from heliograph_services.beacon_controller.frames import Deframer, Frame
-from heliograph_services.beacon_controller.frames import pack as pack_frame
-from heliograph_services.beacon_controller.records import Kind, Program, Status, program_of, status_of
 from support.virtual_beacon import VirtualBeacon
 
 SITE = "yard"
@@ -152,24 +149,3 @@ class World:
         line.way.append((arrival_s, to_host, damaged))
         line.way = deque(sorted(line.way, key=lambda item: item[0]))
 
-
-def asked_of(beacon: VirtualBeacon, kind: Kind) -> bytes:
-    """Ask a beacon directly, on a line of its own; return the reply's payload behind its result."""
-    beacon.take()
-    beacon.receive(pack_frame(Frame(kind, secrets.randbits(16), beacon.boot)))
-    frames = [frame for frame in Deframer().feed(beacon.take()) if frame.kind == kind | 0x80]
-    return frames[0].payload[1:]
-
-
-def status(beacon: VirtualBeacon) -> Status:
-    """Return a beacon's own status."""
-    found = status_of(asked_of(beacon, Kind.STATUS))
-    assert found is not None
-    return found
-
-
-def program_on(beacon: VirtualBeacon) -> Program:
-    """Return what a beacon says that it was set to."""
-    found = program_of(asked_of(beacon, Kind.GET)[2:])
-    assert found is not None
-    return found

@@ -116,7 +116,15 @@ size_t vb_edges(machine *self, uint64_t *t_ns, uint8_t *level)
     return n;
 }
 
-bool vb_is_lit(const machine *self)
+/* What it does, read off its memory: asking it would be a request, which it remembers. */
+void vb_look(const machine *self, uint32_t *seen)
 {
-    return self->lit;
+    const hg_beacon *const beacon = &self->beacon;
+    seen[0] = self->lit;
+    seen[1] = hg_beacon_is_armed(beacon);
+    seen[2] = beacon->program_id;
+    seen[3] = beacon->source.program.payload;
+    seen[4] = beacon->source.program.rate;
+    seen[5] = beacon->source.last_id;
+    seen[6] = beacon->messages_sent;
 }

@@ -15,7 +15,7 @@ import subprocess
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -51,8 +51,19 @@ def library(folder: Path) -> Any:
     loaded = ctypes.CDLL(str(made))
     loaded.vb_new.restype = ctypes.c_void_p
     loaded.vb_take.restype = loaded.vb_edges.restype = ctypes.c_size_t
-    loaded.vb_is_lit.restype = ctypes.c_bool
     return loaded
+
+
+class Seen(NamedTuple):
+    """What a beacon does: `sets` and `accepted` count what it has carried out since it booted."""
+
+    lit: bool
+    armed: bool
+    sets: int
+    payload: int
+    millirate: int
+    accepted: int
+    sent: int
 
 
 class VirtualBeacon:
@@ -95,10 +106,11 @@ class VirtualBeacon:
         n = self._library.vb_edges(self._self, times, levels)
         return list(zip(times[:n], levels[:n], strict=True))
 
-    @property
-    def is_lit(self) -> bool:
-        """Whether its light is on at this moment."""
-        return bool(self._library.vb_is_lit(self._self))
+    def look(self) -> Seen:
+        """Return what it does at this moment, read off its memory: to ask it would be a request, which it remembers."""
+        seen = (ctypes.c_uint32 * len(Seen._fields))()
+        self._library.vb_look(self._self, seen)
+        return Seen(bool(seen[0]), bool(seen[1]), *seen[2:])
 
     def close(self) -> None:
         """Give its memory back."""
