@@ -10,7 +10,7 @@ uint16_t hg_crc16(const uint8_t *bytes, size_t n)
             crc = (crc & 0x8000u) != 0u ? (uint16_t)(shifted ^ 0x1021u) : shifted;
         }
     }
-    return crc;
+    return (uint16_t)~crc;
 }
 
 uint32_t hg_crc32(const uint8_t *bytes, size_t n)
