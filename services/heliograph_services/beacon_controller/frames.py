@@ -3,7 +3,10 @@
 `firmware/PROTOCOL.md` is the contract::
 
     00  COBS( VERSION TYPE SEQ BOOT PAYLOAD CRC )  00
-        1       1    2   2    0..246  2            big-endian; CRC-16 x^16 + x^12 + x^5 + 1 of all before it, from FFFF
+        1       1    2   2    0..246  2            big-endian
+
+CRC-16/GENIBUS of all before it: x^16 + x^12 + x^5 + 1, begun with FFFF, complemented. Without the complement a 00 more at
+the end would not be seen, and just that is what a closing 00 reads as that is damaged into 01.
 
 COBS: the body with a 00 behind it is cut behind each 00; each piece is sent as its length and its bytes without the 00.
 Nothing here raises on bad bytes: what is no frame is dropped and counted by its reason.
@@ -43,7 +46,7 @@ def pack(frame: Frame) -> bytes:
     """Return a frame as it goes over the line, a 00 on both sides."""
     body = bytes((frame.version, frame.kind)) + frame.seq.to_bytes(2, "big") + frame.boot.to_bytes(2, "big")
     body += frame.payload
-    body += binascii.crc_hqx(body, 0xFFFF).to_bytes(_CRC_BYTES, "big")
+    body += _crc(body).to_bytes(_CRC_BYTES, "big")
     if len(body) > _BODY_LIMIT:
         raise ValueError(f"payload must have at most {PAYLOAD_LIMIT} bytes, not {len(frame.payload)}")
     return b"\0" + b"".join(bytes((len(piece) + 1,)) + piece for piece in body.split(b"\0")) + b"\0"
@@ -90,11 +93,15 @@ class Deframer:
         if body is None or not _HEAD + _CRC_BYTES <= len(body) <= _BODY_LIMIT:
             self.refusals[Refusal.DAMAGED] += 1
             return None
-        if binascii.crc_hqx(body, 0xFFFF):  # over a body and its own CRC the remainder is 0
+        if _crc(body[:-_CRC_BYTES]) != int.from_bytes(body[-_CRC_BYTES:], "big"):
             self.refusals[Refusal.CHECKSUM] += 1
             return None
         seq, boot = int.from_bytes(body[2:4], "big"), int.from_bytes(body[4:6], "big")
         return Frame(body[1], seq, boot, body[_HEAD:-_CRC_BYTES], body[0])
+
+
+def _crc(data: bytes) -> int:
+    return binascii.crc_hqx(data, 0xFFFF) ^ 0xFFFF
 
 
 def _unstuffed(wire: bytes) -> bytes | None:

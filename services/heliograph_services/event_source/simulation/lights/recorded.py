@@ -2,7 +2,8 @@
 
 Text, a line an edge, after an optional header line::
 
-    t_ns,level        header (any line whose first character is a letter or `#`, before the first edge)
+    t_ns,level        header (any line whose first character is a letter, before the first edge)
+    # until 1000000   all changes before 1 ms are told; any other line that begins with # says nothing
     1500000,1         at 1.5 ms after the scene's begin the LED goes on
     2500000,0         at 2.5 ms it goes off; a line that repeats the level says only that the time has come so far
 
@@ -42,7 +43,9 @@ AHEAD_US: Final = 10.0 * US_PER_S
 _POLL_BYTES: Final = 1 << 16
 _LINE_BYTES: Final = 64
 _LINE: Final = re.compile(rb"\s*(\d{1,19})\s*[,;\t ]\s*([01])\s*\Z")
-_HEADER: Final = re.compile(rb"\s*[#A-Za-z]")
+_HEADER: Final = re.compile(rb"\s*[A-Za-z]")
+_NOTE: Final = re.compile(rb"\s*#")
+_UNTIL: Final = re.compile(rb"\s*#\s*until\s+(\d{1,19})\s*\Z")
 
 
 class RecordedDrive:
@@ -62,7 +65,7 @@ class RecordedDrive:
         times_ns: list[int] = []
         levels: list[int] = []
         for number, line in enumerate(text.splitlines(), 1):
-            if not line.strip() or (not times_ns and _HEADER.match(line)):
+            if not line.strip() or _NOTE.match(line) or (not times_ns and _HEADER.match(line)):
                 continue
             found = _LINE.match(line)
             if found is None:
@@ -185,6 +188,12 @@ class _Edges:
         """Take a line."""
         if not line.strip() or (self._last is None and _HEADER.match(line)):
             return
+        until = _UNTIL.match(line) if len(line) <= _LINE_BYTES else None
+        if until is not None and int(until[1]) <= TIME_LIMIT_NS:
+            self._told_until(int(until[1]))
+            return
+        if _NOTE.match(line):
+            return
         found = _LINE.match(line) if len(line) <= _LINE_BYTES else None
         if found is None or int(found[1]) > TIME_LIMIT_NS:
             self._refusals[Refusal.DAMAGED] += 1
@@ -202,6 +211,17 @@ class _Edges:
         else:
             self._refuse_aside()
             self._aside = edge
+
+    def _told_until(self, t_ns: int) -> None:
+        """Take a note that the time has come so far: the light is as it was, dark before the first edge."""
+        # An edge at t_ns itself may still come.
+        if self._last is None:
+            self._last = t_ns - 1, 0.0
+        elif not 0 < t_ns - 1 - self._last[0] <= JUMP_NS:
+            return
+        else:
+            self._last = t_ns - 1, self._last[1]
+        self.known_until_us = max(self.known_until_us, (t_ns + self._shift_ns) / NS_PER_US)
 
     def between(self, t0_us: float, t1_us: float) -> tuple[Floats, Floats]:
         """Return times and levels in [t0_us, t1_us)."""
