@@ -227,3 +227,20 @@ def test_a_beacon_of_edges_needs_no_encoder(tmp_path: Path) -> None:
     assert len(drive_of(spec, 0, 0).changes(0.0, 1e6)[0]) == 4
     with pytest.raises(ConfigError, match="protocol must be one of"):
         drive_of(BeaconSpec(name="b", protocol="of_the_firmware", bit_rate=1.0, payload=1, path=here), 0, 0)
+
+
+def test_notes_among_the_edges_say_how_far_the_light_is_known(tmp_path: Path) -> None:
+    text = b"# until 500000\n1000000,1\n# a note\n# until 2000000\n2000000,0\n# until 9000000\n"
+    assert RecordedDrive("f", text).changes(0.0, 1e6)[0].tolist() == [1000.0, 2000.0]
+    fifo = tmp_path / "fifo"
+    os.mkfifo(fifo)
+    drive = StreamedDrive(str(fifo))
+    with fifo.open("wb", buffering=0) as sender:
+        for part, known_us in ((text[:15], 500.0), (text[15:50], 2000.0), (text[50:], 9000.0)):
+            sender.write(part)
+            assert drive.poll()
+            assert drive.known_until_us == known_us
+    assert drive.level(0.0) == 0.0
+    assert drive.changes(0.0, 1e6)[0].tolist() == [1000.0, 2000.0]
+    assert not drive.refusals
+    drive.close()

@@ -18,6 +18,8 @@ from support.virtual_beacon import VirtualBeacon
 
 SITE = "yard"
 UID = "00000000000000a1"
+# How often the lights of beacons on quiet lines are looked at.
+_STEP_S = 0.005
 WALL_MS = 1_800_000_000_000
 
 
@@ -120,7 +122,7 @@ class World:
             self.written[port] = self.written.get(port, 0) + len(data)
             self._send(self.lines[port], data, to_host=False)
         coming = [line.way[0][0] for line in self.lines.values() if line.way]
-        due_s = min([until_s, self.now_s + 0.002, *coming, max(self.now_s + 1e-6, self.core.wake_s())])
+        due_s = min([until_s, self.now_s + _STEP_S, *coming, max(self.now_s + 1e-6, self.core.wake_s())])
         self.now_s = max(self.now_s, due_s)
         for port, line in self.lines.items():
             if line.beacon is not None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from heliograph.beacons import BeaconCommand, BeaconReply, BeaconState, Settings
 from heliograph.events import EventBatch
 from heliograph.flow import Flow
 from heliograph.messages import (
@@ -194,5 +195,45 @@ def every_record() -> list[Message]:
             edge_beacon=np.zeros(4, np.uint16),
             edge_us=np.array([0.0, 2454.5, 3272.7, 9999.9]),
             edge_on=np.array([True, False, True, False]),
+        ),
+        *beacon_records(),
+    ]
+
+
+def beacon_records() -> list[Message]:
+    """Return one record of every schema that tells of a beacon."""
+    wanted = Settings(
+        protocol="seed11", options={"parity": "even"}, payload=42, bit_rate=1000.0, power=0.5, armed=True, lease_s=599.5
+    )
+    return [
+        BeaconState(
+            name="crane",
+            uid="00000000000000a1",
+            port="/dev/ttyUSB0",
+            link="ready",
+            desired=wanted,
+            reported=wanted,
+            waiting=1,
+            boots=2,
+            counters={"applied": 7},
+            trouble="",
+        ),
+        BeaconCommand(
+            name="crane",
+            op="set",
+            nonce="000102030405060708090a0b0c0d0e0f",
+            expires_ms=1_800_000_020_000,
+            payload=42,
+            bit_rate=1000.0,
+            mac=bytes(range(32)),
+        ),
+        BeaconReply(
+            name="crane",
+            nonce="000102030405060708090a0b0c0d0e0f",
+            outcome="failed",
+            reason="no answer",
+            detail="SET was sent 40 times",
+            tries=40,
+            took_s=3.0,
         ),
     ]
