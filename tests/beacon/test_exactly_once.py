@@ -61,9 +61,7 @@ def test_a_thousand_commands_on_a_bad_line_end_once_each_and_are_carried_out_onc
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("what", ["reboot", "unplugged", "unplugged and rebooted"])
-def test_the_desired_state_is_back_within_a_second_of_a_clean_line(
-    beacon: VirtualBeacon, what: str, seed: int
-) -> None:
+def test_the_desired_state_is_back_within_a_second_of_a_clean_line(beacon: VirtualBeacon, what: str, seed: int) -> None:
     assert returned_s(World(settings(), seed=seed), beacon, what) < 1.0
 
 

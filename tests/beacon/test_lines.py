@@ -128,7 +128,9 @@ def test_a_beacon_that_turns_to_nonsense_is_told_and_its_commands_fail_at_once(m
     world.plug("a", beacon)
     world.run(1.0)
     boot = beacon.boot
-    plug = Babbler(lambda data: b"".join(pack(Frame(f.kind | 0x80, f.seq, boot, b"\xee")) for f in Deframer().feed(data)))
+    plug = Babbler(
+        lambda data: b"".join(pack(Frame(f.kind | 0x80, f.seq, boot, b"\xee")) for f in Deframer().feed(data))
+    )
     world.lines["a"].beacon = plug  # type: ignore[assignment] - as above
     world.until(lambda: world.states["crane"].link == "nonsense", 3.0)
     asked = world.ask(command("set", at_s=world.now_s, payload=5))
@@ -175,6 +177,7 @@ def test_a_lease_beyond_the_protocols_hour_is_renewed(make: Make) -> None:
     beacon = make(UID)
     world.plug("a", beacon)
     world.end_of(world.ask(command("arm", lease_s=7_200.0)))
+    world.run(world.now_s + 0.5)
     assert world.states["crane"].desired.lease_s == pytest.approx(7_200.0, abs=2.0)
     assert world.core.step(world.now_s).writes == []
     later = world.core.step(world.now_s + 1_900.0).writes
@@ -227,7 +230,7 @@ def test_a_refusal_of_the_beacon_is_told_in_words(make: Make) -> None:
     world = World(settings())
     world.plug("a", make(UID))
     world.run(1.0)
-    twin = world.end_of(world.ask(command("set", at_s=world.now_s, payload=1)))
+    twin = world.end_of(world.ask(command("set", at_s=world.now_s, payload=56)))  # reads like 15
     assert (twin.outcome, twin.reason) == ("failed", "declined")
     message = world.end_of(world.ask(command("send", at_s=world.now_s, text="hello")))
     assert message.detail == "its protocol carries no messages"
@@ -252,5 +255,7 @@ def test_without_the_sites_wishes_the_beacons_own_program_and_lease_are_kept(mak
 
 
 def test_a_site_that_wants_what_no_beacon_sends_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"crane: protocol must be one of seed11, code, uart, packet, not 'frequency'"):
+    with pytest.raises(
+        ConfigError, match=r"crane: protocol must be one of seed11, code, uart, packet, not 'frequency'"
+    ):
         ControllerCore(settings(crane(protocol="frequency")), b"", 1)

@@ -150,4 +150,3 @@ class World:
         line.free_s[to_host] = arrival_s
         line.way.append((arrival_s, to_host, damaged))
         line.way = deque(sorted(line.way, key=lambda item: item[0]))
-

@@ -7,6 +7,9 @@ is (`ids`). On the ladder of rates between the limits, each twice the one below:
     down    at the first link that reads less than BAD, and after LOST_S without any, one rung
     barred  a rung that was left downwards within TRIAL_S of its ascent is barred for BAR_S, then twice as long, ...
 
+The decoder must be told to try the rates: the site lists the beacon once for each rung, the others without a uid and called
+NAME.RATE (`crane`, `crane.500`, `crane.250`).
+
 After a step nothing is judged for SETTLE_S: the decoder has to find the new rate. A rate that an operator sets is held
 for HOLD_S. Who is not seen at all comes down to the lowest rate: that is the one which reaches farthest.
 """
@@ -70,7 +73,7 @@ class Adapter:
             if message.lost:
                 self._beacons.pop((message.camera, message.track), None)
             else:
-                self._beacons[message.camera, message.track] = message.beacon
+                self._beacons[message.camera, message.track] = message.beacon.partition(".")[0]
         elif isinstance(message, Link):
             name = self._beacons.get((message.camera, message.track))
             if name is not None and message.mar_estimate is not None:
@@ -100,7 +103,7 @@ class Adapter:
             for_s = min(BAR_MOST_S, 2 * loop.barred.get(bit_rate, (0.0, BAR_S / 2))[1])
             loop.barred[bit_rate] = (now_s + for_s, for_s)
         loop.settled_s = now_s + SETTLE_S
-        return lower
+        return min(bit_rate, lower)
 
     def _judge(self, loop: _Loop, share: float, now_s: float) -> None:
         loop.heard_s = now_s

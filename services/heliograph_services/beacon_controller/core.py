@@ -20,7 +20,6 @@ from heliograph_services.beacon_controller.authority import Authority, Denied
 from heliograph_services.beacon_controller.config import BeaconControllerConfig
 from heliograph_services.beacon_controller.keeper import Keeper
 from heliograph_services.beacon_controller.line import Line
-from heliograph_services.beacon_controller.records import program_for
 
 # A state whose counters alone have moved is told so often: who watches sees that it lives.
 _COUNTERS_S: Final = 1.0
@@ -57,9 +56,8 @@ class ControllerCore:
         for beacon in config.beacons:
             if not beacon.uid:
                 continue
-            keeper = Keeper(beacon, config)
             try:
-                program_for(keeper.state("absent", 0.0).desired)
+                keeper = Keeper(beacon, config)
             except ValueError as error:
                 raise ConfigError(f"[[beacon]] {beacon.name}: {error}") from None
             self._keepers[keeper.uid] = keeper

@@ -53,6 +53,9 @@ class Keeper:
     Args:
         beacon: its name, uid, and what the site wants it to send.
         config: deadlines, and whether the site's wishes are applied.
+
+    Raises:
+        ValueError: the site wants it to send what no beacon can; names the value and the range.
     """
 
     def __init__(self, beacon: Beacon, config: BeaconControllerConfig) -> None:

@@ -63,8 +63,9 @@ class Line:
         self._exchange = Exchange(config.baud, number)
         self._nonce = (number * 0x9E3779B1 + 1) & 0xFFFFFFFF
         self._boot = self._left_boot = 0
-        self._sense_s = 0.0
-        self._has_heard = False
+        self._sense_s = 0.0  # when something sensible came last
+        self._senseless_s: float | None = None  # since when only nonsense comes
+        self._asked_s = 0.0  # when the request under way was begun
         self._in_row = 0
 
     # The port
@@ -74,12 +75,13 @@ class Line:
         self._deframer.reset()
         self.phase, self.link = "greeting", "silent"
         self._sense_s = now_s
-        self._has_heard = False
+        self._senseless_s = None
         self._in_row = 0
         self.trouble = ""
         if self.keeper is None:
             self._exchange.end()
         elif self._exchange.request is None or self._exchange.request.kind == Kind.HELLO:
+            self._asked_s = now_s
             self._exchange.begin(Request(Kind.GET, b"", now_s + _RETURN_S), self._boot, now_s)
 
     def closed(self, why: str) -> None:
@@ -92,7 +94,8 @@ class Line:
 
     def heard(self, data: bytes, now_s: float) -> None:
         """Take what has come."""
-        self._has_heard = True
+        if self._senseless_s is None:
+            self._senseless_s = now_s
         for frame in self._deframer.feed(data):
             self._take(frame, now_s)
         self.refusals += self._deframer.refusals
@@ -108,6 +111,7 @@ class Line:
             request = self._next(now_s)
             if request is None:
                 return b""
+            self._asked_s = now_s
             self._exchange.begin(request, self._boot if request.kind != Kind.HELLO else 0, now_s)
         data = self._exchange.due(now_s)
         if data and self.keeper is not None:
@@ -144,10 +148,11 @@ class Line:
             self.keeper.interrupted(now_s, "no answer", "its port came back, but it did not answer")
 
     def _watch(self, now_s: float) -> None:
-        quiet_s = now_s - self._sense_s
-        if self.phase == "bound":
-            self.link = "silent" if quiet_s > SILENT_S else "ready"
-        if self.phase in {"greeting", "bound"} and self._has_heard and quiet_s > self._config.nonsense_s:
+        waited_s = now_s - max(self._sense_s, self._asked_s)
+        if self.phase == "bound" and self._exchange.request is not None and waited_s > SILENT_S:
+            self.link = "silent"
+        senseless_s = 0.0 if self._senseless_s is None else now_s - self._senseless_s
+        if self.phase in {"greeting", "bound"} and senseless_s > self._config.nonsense_s:
             self._leave("nonsense", f"nothing sensible came for {self._config.nonsense_s:g} s", now_s)
 
     def _leave(self, link: LinkWord, why: str, now_s: float) -> None:
@@ -163,7 +168,7 @@ class Line:
             self._nonsense(now_s)
             return
         if self.phase == "greeting":  # a sound frame is no nonsense, whatever it says
-            self._sense_s = now_s
+            self._senseless_s = None
         if frame.kind == Kind.BOOT:
             self._announced(frame, now_s)
         elif self.phase == "left alone":
@@ -278,6 +283,7 @@ class Line:
 
     def _sensible(self, now_s: float) -> None:
         self._sense_s = now_s
+        self._senseless_s = None
         if self.phase == "bound":
             self.link = "ready"
 

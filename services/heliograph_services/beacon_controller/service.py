@@ -91,6 +91,8 @@ class Controller:
         self._questions: dict[int, Question] = {}
         self._cut_short = 0
         self._links: dict[str, str] = {}
+        # What the reporter's thread reads: made here, so that it never sees the core at work.
+        self._numbers: tuple[dict[str, int], dict[str, float]] = ({}, {})
 
     def run(self, stop: Stop) -> None:
         """Work until the stop."""
@@ -98,8 +100,8 @@ class Controller:
         from heliograph.shell.queries import answering  # noqa: PLC0415
 
         pulse = Pulse()
-        pulse.counters = self._counters
-        pulse.gauges = lambda: self._core.gauges
+        pulse.counters = lambda: self._numbers[0]
+        pulse.gauges = lambda: self._numbers[1]
         if self._config.adapt:
             self._bus.subscribe({"ids": Identification, "link": Link})
         for name in self._core.names:
@@ -161,6 +163,7 @@ class Controller:
         for port, data in work.writes:
             if not ports.write(port, data):
                 self._cut_short += 1
+        self._numbers = self._counters(), self._core.gauges
         for ticket, reply in work.replies:
             self._answer(ticket, reply)
         for state in work.states:
