@@ -1,4 +1,4 @@
-"""The closed loop chooses the bit rate that the link carries, and comes down when it fades: the firmware's core, virtual time."""
+"""The closed loop chooses the bit rate that the link carries and comes down when it fades (the firmware's core)."""
 
 from __future__ import annotations
 
@@ -22,13 +22,36 @@ def seen(rate: float, t_us: int, share: float) -> tuple[Identification, Link]:
     """Return what a decoder says of the track in a second."""
     name = "crane" if rate == 500.0 else f"crane.{rate:g}"
     who = Identification(
-        camera="cam0", track="t-0", t_us=t_us, since_us=0, protocol="seed11", beacon=name, payload=42, x_px=1.0, y_px=1.0,
-        vx_px_s=0.0, vy_px_s=0.0, bearing=None, confidence=1.0, margin=9.0, frames_used=3, change="refreshed", lost=False,
-    )  # fmt: skip
+        camera="cam0",
+        track="t-0",
+        t_us=t_us,
+        since_us=0,
+        protocol="seed11",
+        beacon=name,
+        payload=42,
+        x_px=1.0,
+        y_px=1.0,
+        vx_px_s=0.0,
+        vy_px_s=0.0,
+        bearing=None,
+        confidence=1.0,
+        margin=9.0,
+        frames_used=3,
+        change="refreshed",
+        lost=False,
+    )
     link = Link(
-        camera="cam0", track="t-0", t_us=t_us, protocol="seed11", bit_rate=rate, snr_db=9.0, jitter_us=9.0, clock_ppm=0.0,
-        events_per_transition=5.0, mar_estimate=share,
-    )  # fmt: skip
+        camera="cam0",
+        track="t-0",
+        t_us=t_us,
+        protocol="seed11",
+        bit_rate=rate,
+        snr_db=9.0,
+        jitter_us=9.0,
+        clock_ppm=0.0,
+        events_per_transition=5.0,
+        mar_estimate=share,
+    )
     return who, link
 
 

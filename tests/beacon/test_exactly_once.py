@@ -1,4 +1,4 @@
-"""On a line that damages every twentieth byte and loses answers, each command ends once, and what was desired comes back."""
+"""On a line that damages every twentieth byte and loses answers, commands end once, and what was desired comes back."""
 
 from __future__ import annotations
 

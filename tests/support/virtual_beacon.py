@@ -1,4 +1,4 @@
-"""The firmware's own core, compiled by the machine's C compiler, as a beacon in a test: in the test's time, or as a process.
+"""The firmware's own core, compiled by the machine's C compiler, as a beacon in a test: in its time or as a process.
 
 The library runs in virtual time: a thousand commands on a bad line take a second. The program is the virtual beacon of
 `firmware/README.md`, on a pseudo-terminal or a TCP port, in real time.

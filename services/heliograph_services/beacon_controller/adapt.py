@@ -5,10 +5,11 @@ is (`ids`). On the ladder of rates between the limits, each twice the one below:
 
     up      after UP_S of links that all read at least GOOD of the frames, one rung
     down    at the first link that reads less than BAD, and after LOST_S without any, one rung
-    barred  a rung that was left downwards within TRIAL_S of its ascent is barred for BAR_S, then twice as long, ...
+    barred  a rung that was left because it was read badly, or within TRIAL_S of its ascent, is not tried again for
+            BAR_S, then for twice as long, ...
 
-The decoder must be told to try the rates: the site lists the beacon once for each rung, the others without a uid and called
-NAME.RATE (`crane`, `crane.500`, `crane.250`).
+The decoder must be told to try the rates: the site lists the beacon once for each rung, the others without a uid and
+called NAME.RATE (`crane`, `crane.500`, `crane.250`).
 
 After a step nothing is judged for SETTLE_S: the decoder has to find the new rate. A rate that an operator sets is held
 for HOLD_S. Who is not seen at all comes down to the lowest rate: that is the one which reaches farthest.
@@ -99,7 +100,7 @@ class Adapter:
         return higher
 
     def _fall(self, loop: _Loop, bit_rate: float, lower: float, now_s: float) -> float:
-        if now_s - loop.risen_s < TRIAL_S + SETTLE_S:
+        if loop.is_bad or now_s - loop.risen_s < TRIAL_S + SETTLE_S:
             for_s = min(BAR_MOST_S, 2 * loop.barred.get(bit_rate, (0.0, BAR_S / 2))[1])
             loop.barred[bit_rate] = (now_s + for_s, for_s)
         loop.settled_s = now_s + SETTLE_S

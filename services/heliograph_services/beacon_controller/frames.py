@@ -5,8 +5,8 @@
     00  COBS( VERSION TYPE SEQ BOOT PAYLOAD CRC )  00
         1       1    2   2    0..246  2            big-endian
 
-CRC-16/GENIBUS of all before it: x^16 + x^12 + x^5 + 1, begun with FFFF, complemented. Without the complement a 00 more at
-the end would not be seen, and just that is what a closing 00 reads as that is damaged into 01.
+CRC-16/GENIBUS of all before it: x^16 + x^12 + x^5 + 1, begun with FFFF, complemented. Without the complement a 00 more
+at the end would not be seen, and just that is what a closing 00 reads as that is damaged into 01.
 
 COBS: the body with a 00 behind it is cut behind each 00; each piece is sent as its length and its bytes without the 00.
 Nothing here raises on bad bytes: what is no frame is dropped and counted by its reason.
