@@ -21,7 +21,8 @@ KEY = key(SITE, "beacon", "crane", "cmd")
 
 
 def settings(**changes: Any) -> BeaconControllerConfig:
-    return BeaconControllerConfig(**{"beacons": (crane(), crane("00000000000000a2", name="lift"))} | changes)
+    fields: dict[str, Any] = {"beacons": (crane(), crane("00000000000000a2", name="lift"))}
+    return BeaconControllerConfig(**fields | changes)
 
 
 def verdict(

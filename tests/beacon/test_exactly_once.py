@@ -24,7 +24,8 @@ def beacon(build: Path) -> Any:
 
 
 def settings(**changes: Any) -> BeaconControllerConfig:
-    return BeaconControllerConfig(**{"beacons": (crane(),), "commands_hz": 1000.0, "commands_burst": 1000} | changes)
+    fields: dict[str, Any] = {"beacons": (crane(),), "commands_hz": 1000.0, "commands_burst": 1000}
+    return BeaconControllerConfig(**fields | changes)
 
 
 def test_a_thousand_commands_on_a_bad_line_end_once_each_and_are_carried_out_once_each(beacon: VirtualBeacon) -> None:
@@ -37,12 +38,12 @@ def test_a_thousand_commands_on_a_bad_line_end_once_each_and_are_carried_out_onc
     took: list[float] = []
     for number in range(1000):
         op = draw.choice(("set", "send", "arm"))
-        fields: dict[str, Any] = {
+        wanted: dict[str, dict[str, Any]] = {
             "set": {"gap_bits": number % 200},
             "send": {"text": chr(65 + number % 26)},
             "arm": {"lease_s": 600.0},
-        }[op]
-        ticket = world.ask(command(op, at_s=world.now_s, **fields))
+        }
+        ticket = world.ask(command(op, at_s=world.now_s, **wanted[op]))
         reply = world.end_of(ticket)
         took.append(reply.took_s)
         ends[op] += reply.outcome == "applied"

@@ -54,10 +54,6 @@ def settings(*beacons: Any, **changes: Any) -> BeaconControllerConfig:
     return BeaconControllerConfig(beacons=beacons or (crane(), crane(OTHER, name="lift", payload=21)), **changes)
 
 
-def plugged(world: World, port: str, babbler: Babbler) -> None:
-    world.plug(port, babbler)  # type: ignore[arg-type] - what a line needs of a beacon
-
-
 def test_several_beacons_are_found_by_their_uids_and_given_what_the_site_wants(make: Make) -> None:
     world = World(settings())
     lift, one = make(OTHER), make(UID)
@@ -114,7 +110,7 @@ def test_the_same_uid_on_a_second_port_is_left_alone(make: Make) -> None:
 )
 def test_who_answers_nonsense_is_told_and_left_alone(says: Callable[[bytes], bytes]) -> None:
     world = World(settings(nonsense_s=1.0))
-    plugged(world, "a", Babbler(says))
+    world.plug("a", Babbler(says))
     world.run(4.0)
     written = world.written["a"]
     world.run(10.0)
@@ -131,7 +127,7 @@ def test_a_beacon_that_turns_to_nonsense_is_told_and_its_commands_fail_at_once(m
     plug = Babbler(
         lambda data: b"".join(pack(Frame(f.kind | 0x80, f.seq, boot, b"\xee")) for f in Deframer().feed(data))
     )
-    world.lines["a"].beacon = plug  # type: ignore[assignment] - as above
+    world.lines["a"].beacon = plug
     world.until(lambda: world.states["crane"].link == "nonsense", 3.0)
     asked = world.ask(command("set", at_s=world.now_s, payload=5))
     reply = world.end_of(asked, 0.1)
@@ -141,7 +137,7 @@ def test_a_beacon_that_turns_to_nonsense_is_told_and_its_commands_fail_at_once(m
 
 def test_who_was_left_alone_is_greeted_when_it_announces_a_new_boot(make: Make) -> None:
     world = World(settings(nonsense_s=1.0))
-    plugged(world, "a", Babbler(lambda data: b"ets Jul 29 2019 rst:0x1\r\n" * 2))
+    world.plug("a", Babbler(lambda data: b"ets Jul 29 2019 rst:0x1\r\n" * 2))
     world.run(3.0)
     assert world.core.gauges["left alone"] == 1.0
     beacon = make(UID)
@@ -151,7 +147,7 @@ def test_who_was_left_alone_is_greeted_when_it_announces_a_new_boot(make: Make) 
 
 def test_a_silent_port_is_not_nonsense_and_its_commands_fail_after_the_deadline() -> None:
     world = World(settings())
-    plugged(world, "a", Babbler(lambda data: b""))
+    world.plug("a", Babbler(lambda data: b""))
     ticket = world.ask(command("save"))
     reply = world.end_of(ticket)
     assert (reply.outcome, reply.reason) == ("failed", "absent")

@@ -16,6 +16,6 @@ def test_the_shipped_site_is_sound_and_lists_the_beacon_of_its_scene() -> None:
     assert problems(site) == []
     scene = load_scenario(str(LOOP / "scene.toml"))
     assert [(b.name, b.protocol, b.bit_rate) for b in site.beacon] == [
-        (b.name, b.protocol, b.bit_rate) for b in scene.beacon
+        (b.name, b.protocol, b.bit_rate) for b in scene.beacons
     ]
     assert site.beacon[0].uid

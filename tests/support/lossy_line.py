@@ -6,7 +6,7 @@ import random
 import secrets
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 from heliograph.beacons import BeaconCommand, BeaconReply, BeaconState
 from heliograph.keys import key
@@ -14,7 +14,6 @@ from heliograph.site import Beacon
 from heliograph.wire import header_for, pack
 from heliograph_services.beacon_controller.config import BeaconControllerConfig
 from heliograph_services.beacon_controller.core import ControllerCore
-from support.virtual_beacon import VirtualBeacon
 
 SITE = "yard"
 UID = "00000000000000a1"
@@ -25,7 +24,8 @@ WALL_MS = 1_800_000_000_000
 
 def crane(uid: str = UID, **changes: Any) -> Beacon:
     """Return the site's beacon."""
-    return Beacon(**{"name": "crane", "uid": uid, "protocol": "seed11", "payload": 42, "bit_rate": 1000.0} | changes)
+    fields: dict[str, Any] = {"name": "crane", "uid": uid, "protocol": "seed11", "payload": 42, "bit_rate": 1000.0}
+    return Beacon(**fields | changes)
 
 
 def packed(command: BeaconCommand) -> bytes:
@@ -39,11 +39,25 @@ def command(op: str, name: str = "crane", at_s: float = 0.0, **fields: Any) -> B
     return BeaconCommand(name=name, op=op, nonce=secrets.token_hex(16), expires_ms=expires_ms, **fields)  # type: ignore[arg-type]
 
 
+class Talker(Protocol):
+    """Who is at the other end of a line: a beacon, or something else."""
+
+    def run_to(self, now_s: float) -> None:
+        """Let time pass."""
+
+    def receive(self, data: bytes) -> None:
+        """Take bytes."""
+
+    def take(self) -> bytes:
+        """Return what it has written since."""
+        ...
+
+
 @dataclass
 class Line:
-    """A line between a port of the core and a beacon; None where nobody is there."""
+    """A line between a port of the core and who is there; None where nobody is."""
 
-    beacon: VirtualBeacon | None
+    beacon: Talker | None
     is_open: bool = False
     way: deque[tuple[float, bool, bytes]] = field(default_factory=deque)  # (arrival, to the host, bytes)
     free_s: dict[bool, float] = field(default_factory=lambda: {True: 0.0, False: 0.0})  # to the host, to the beacon
@@ -72,7 +86,7 @@ class World:
         self._bad, self._lost = bad, lost
         self._random = random.Random(seed)
 
-    def plug(self, port: str, beacon: VirtualBeacon | None = None) -> None:
+    def plug(self, port: str, beacon: Talker | None = None) -> None:
         """Open a port."""
         line = self.lines.setdefault(port, Line(beacon))
         line.beacon = beacon or line.beacon
