@@ -51,6 +51,9 @@ PROFILES: Final[dict[str, Profile]] = {
     "link": Profile("data", kept_s=_TRACK_KEPT_S),
     "progress": Profile("data_high", express=True),
     "beacon": Profile("interactive_high", history=1),
+    # Of a query and its reply, which Zenoh carries as it carries the rest of the topic.
+    "beacon_cmd": Profile("interactive_high"),
+    "beacon_reply": Profile("interactive_high"),
     "metrics": Profile("background"),
     "health": Profile("background"),
 }

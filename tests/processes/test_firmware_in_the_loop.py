@@ -27,9 +27,13 @@ def told(heard: Collector) -> str:
 
 
 def is_ready(heard: Collector) -> bool:
-    """Return whether the beacon obeys and has been set."""
+    """Return whether the camera looks, and the beacon obeys and has been set."""
     states = [m for m in list(heard.messages["beacon"]) if isinstance(m, BeaconState)]
-    return any(s.link == "ready" and s.reported is not None and s.reported.protocol == "uart" for s in states)
+    if not states or not all(heard.messages[name] for name in ("onsets", "tracks", "status")):
+        return False
+    # Until the camera looks, the beacon may have to wait for room in the FIFO, and so be silent.
+    last = states[-1]
+    return last.link == "ready" and last.reported is not None and last.reported.protocol == "uart"
 
 
 def beacon(site: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -50,7 +54,7 @@ def test_text_typed_at_beacon_send_arrives_as_a_message(tmp_path: Path) -> None:
     with beacon_process(tmp_path / "build", "--pty", str(line), "--edges", str(fifo), "--uid", "00000000000000a1"):
         host = Host(tmp_path, "loop", text, SERVICES)
         try:
-            with collecting(port, "loop", ["messages", "beacon"]) as heard:
+            with collecting(port, "loop", ["messages", "beacon", "onsets", "tracks", "status"]) as heard:
                 heard.until(is_ready, "a beacon that obeys")
                 armed = beacon(host.path, "arm", "gate", "--lease", "120")
                 assert armed.returncode == 0, armed.stderr
