@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import random
+from pathlib import Path
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -10,6 +12,7 @@ from hypothesis import strategies as st
 from heliograph.errors import Refusal
 from heliograph_services.beacon_controller.frames import Deframer, Frame, pack
 
+VECTORS = Path(__file__).parents[1] / "vectors" / "protocol.json"
 HELLO = bytes.fromhex("00 03 01 01 02 01 01 07 01 02 03 04 2f c2 00")
 frames = st.builds(
     Frame,
@@ -24,6 +27,20 @@ def test_the_worked_example_of_the_protocols_page_is_packed_and_read() -> None:
     hello = Frame(1, 1, 0, bytes([1, 2, 3, 4]))
     assert pack(hello) == HELLO
     assert Deframer().feed(HELLO) == [hello]
+
+
+def test_the_golden_frames_that_the_firmware_reads_are_packed_and_read_here() -> None:
+    golden = json.loads(VECTORS.read_text())
+    for case in golden["frames"]:
+        wire, body = bytes.fromhex(case["wire"]), bytes.fromhex(case["body"])
+        (frame,) = Deframer().feed(wire)
+        assert bytes((frame.version, frame.kind)) + frame.seq.to_bytes(2, "big") == body[:4], case["what"]
+        assert frame.payload == body[6:]
+        assert pack(frame) == wire
+    for case in golden["damaged"]:
+        deframer = Deframer()
+        assert deframer.feed(bytes.fromhex(case["wire"])) == [], case["what"]
+        assert sum(deframer.refusals.values()) == 1
 
 
 @given(st.lists(frames, max_size=4), st.lists(st.integers(1, 300), max_size=20))

@@ -255,7 +255,7 @@ def test_a_store_that_is_damaged_is_no_program(beacon: Script, damage: str) -> N
         kept[2] = 2
     elif damage == "what it cannot send":
         kept[4] = 9
-        kept[-2:] = struct.pack(">H", binascii.crc_hqx(bytes(kept[:-2]), 0xFFFF))
+        kept[-2:] = struct.pack(">H", binascii.crc_hqx(bytes(kept[:-2]), 0xFFFF) ^ 0xFFFF)
     else:
         kept = bytearray.fromhex(damage)
     beacon.tell("kept", kept.hex())

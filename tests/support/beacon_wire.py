@@ -53,7 +53,7 @@ class Body:
     def wire(self) -> bytes:
         """Return it as it goes on the line."""
         body = struct.pack(">BBHH", self.version, self.type, self.seq, self.boot) + self.payload
-        return b"\0" + cobs(body + struct.pack(">H", binascii.crc_hqx(body, 0xFFFF))) + b"\0"
+        return b"\0" + cobs(body + struct.pack(">H", binascii.crc_hqx(body, 0xFFFF) ^ 0xFFFF)) + b"\0"
 
 
 def parse(stream: bytes) -> list[Body]:
@@ -68,7 +68,7 @@ def parse(stream: bytes) -> list[Body]:
             continue
         body = uncobs(frame)
         checked, (crc,) = body[:-2], struct.unpack(">H", body[-2:])
-        if binascii.crc_hqx(checked, 0xFFFF) != crc:
+        if binascii.crc_hqx(checked, 0xFFFF) ^ 0xFFFF != crc:
             raise ValueError("a frame fails its CRC")
         version, kind, seq, boot = struct.unpack(">BBHH", checked[:6])
         bodies.append(Body(kind, seq, boot, checked[6:], version))
