@@ -82,7 +82,7 @@ def type_words(kind: Any) -> str:
         return f"{get_origin(kind).__name__} of " + ", ".join(type_words(part) for part in get_args(kind))
     if kind is type(None):
         return "nil"
-    if issubclass(kind, msgspec.Struct):
+    if hasattr(kind, "__struct_fields__"):
         hints = typing.get_type_hints(kind, include_extras=True)
         return f"map of {', '.join(f'`{name}` {type_words(hint)}' for name, hint in hints.items())}"
     return {"str": "str", "int": "int", "float": "float", "bool": "bool", "bytes": "bin"}.get(kind.__name__, "array")
