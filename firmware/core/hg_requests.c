@@ -31,6 +31,10 @@ uint8_t hg_request_refuse(hg_beacon *beacon, hg_verdict verdict, uint8_t *reply)
     beacon->refused++;
     reply[0] = verdict.result;
     reply[1] = verdict.field;
+    if (verdict.result == HG_WRONG_BOOT) {
+        memcpy(reply + 1, beacon->hardware.uid, sizeof beacon->hardware.uid);
+        return 1u + sizeof beacon->hardware.uid;
+    }
     return verdict.result == HG_RANGE ? 2u : 1u;
 }
 

@@ -21,7 +21,7 @@ enum hg_request {
 /* Carry out a request; write the reply's payload (HG_REPLY_MOST bytes); return how many bytes. */
 uint8_t hg_request_carry_out(hg_beacon *beacon, uint8_t type, const uint8_t *payload, size_t n, uint8_t *reply);
 
-/* Write n and more refusals of one kind: the payload of a reply that is nothing but a result. */
+/* Write and count a refusal: a result, and what RANGE (the byte) and WRONG_BOOT (the UID) add; return how many bytes. */
 uint8_t hg_request_refuse(hg_beacon *beacon, hg_verdict verdict, uint8_t *reply);
 
 #endif

@@ -132,7 +132,8 @@ def test_a_reply_that_the_line_did_not_take_is_said_when_it_is_asked_for_again(b
 def test_a_request_meant_for_the_boot_before_is_refused(beacon: Script) -> None:
     old = beacon.host.boot
     beacon.tell("reboot")
-    assert beacon.host.ask(SET, record(SEED11, 1), boot=old).payload == bytes([wire.WRONG_BOOT])
+    uid = bytes(range(1, 9))
+    assert beacon.host.ask(SET, record(SEED11, 1), boot=old).payload == bytes([wire.WRONG_BOOT]) + uid
     assert beacon.host.hello().boot != old
     assert beacon.host.ask(GET).payload == bytes([wire.NO_PROGRAM])
 

@@ -63,6 +63,7 @@ WORDS: Final[dict[int, str]] = {
     Result.NO_PROGRAM: "nothing was set",
 }
 LEASE_LIMIT_MS: Final = 3_600_000
+UID_BYTES: Final = 8
 MESSAGE_LIMIT: Final = 240
 TEXT_LIMIT: Final = 64
 _POWER_FULL: Final = 1000
@@ -188,6 +189,11 @@ def hello_of(data: bytes) -> Hello | None:
         return None
     number = ".".join(str(part) for part in firmware)
     return Hello(nonce, version, number, uid.hex(), capabilities, low, high, message, text, queue, name.decode("ascii"))
+
+
+def refuser_of(payload: bytes) -> str:
+    """Return the uid in a reply's payload that refuses a request for another boot; empty where it is another reply."""
+    return payload[1:].hex() if payload[:1] == bytes((Result.WRONG_BOOT,)) and len(payload) == 1 + UID_BYTES else ""
 
 
 def program_of(data: bytes) -> Program | None:
