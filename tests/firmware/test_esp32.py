@@ -9,16 +9,22 @@ from pathlib import Path
 
 import pytest
 
-from support.beacon_wire import ARM, DISARM, GET, PACKET, QUEUE, SAVE, SEED11, SET, STORAGE, UART, record
+from support.beacon_wire import ARM, DISARM, GET, HELLO, PACKET, QUEUE, SAVE, SEED11, SET, STORAGE, UART, record
 from support.firmware import Script, build, live_changes
 
 FOREVER = struct.pack(">I", 3_600_000)
 TICK_NS = 100
 
 
-@pytest.fixture(scope="session")
-def esp32_program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return build("esp32-host", tmp_path_factory.mktemp("esp32")) / "beacon-esp32-host"
+CHIPS = ("esp32", "esp32c3", "esp32s3")
+# A memory full of symbols of 0.2 ms is asked for ahead.
+AHEAD_S = {"esp32": 0.0128, "esp32c3": 0.0096, "esp32s3": 0.0096}
+
+
+@pytest.fixture(scope="session", params=CHIPS)
+def esp32_program(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    chip = str(request.param)
+    return build(chip, tmp_path_factory.mktemp(chip)) / f"beacon-{chip}-host"
 
 
 @pytest.fixture
@@ -43,6 +49,22 @@ def test_an_edge_is_off_by_at_most_a_tick_and_nothing_drifts_at_any_rate(esp32_p
         assert not report.damaged
         assert report.worst_error_ns <= TICK_NS + 1
         assert abs(report.worst_drift_ns) <= TICK_NS + 1
+
+
+def test_each_chip_says_which_it_is(esp32_program: Path, esp32: Script) -> None:
+    chip = esp32_program.name.split("-")[1]
+    assert esp32.host.done(HELLO, b"\1\2\3\4").endswith(b"\4" + chip.encode())
+    esp32.host.done(SET, record(SEED11, 42, bit_rate=5000))
+    esp32.host.done(ARM, FOREVER)
+    since_ns = esp32.now_ns
+    esp32.run(0.05)
+    esp32.host.done(SET, record(SEED11, 21, bit_rate=5000))
+    asked_ns = esp32.now_ns
+    esp32.run(0.1)
+    frames = esp32.check("seed11", 5000, since_ns).frames
+    # A memory, and the frame that was begun when it was filled last.
+    ahead_ns = frames.index(21) * 11 * 200_000 + since_ns - asked_ns
+    assert ahead_ns <= AHEAD_S[chip] * 1e9 + 2 * 11 * 200_000
 
 
 def test_payloads_change_live_without_a_damaged_frame(esp32: Script) -> None:
@@ -70,6 +92,20 @@ def test_it_is_dark_within_one_bit_of_disarm_and_of_the_leases_end(esp32: Script
         esp32.run(0.2)
         assert esp32.edges[-1][1] == 0
         assert end_ns - 1e9 / rate <= esp32.edges[-1][0] <= end_ns + 1e9 / rate
+    # The ESP32 stops with its interrupts off: the line's FIFO of 128 bytes fills in 11 ms.
+    assert all(waited_ns < 400_000 for waited_ns in esp32.waited_ns)
+
+
+def test_it_is_lit_again_where_it_was_armed_right_after_a_disarm(esp32: Script) -> None:
+    esp32.host.done(SET, record(SEED11, 42, bit_rate=5000))
+    for _ in range(20):
+        esp32.host.done(ARM, FOREVER)
+        since_ns = esp32.now_ns
+        esp32.run(0.05)
+        esp32.host.done(DISARM)
+        report = esp32.check("seed11", 5000, since_ns)
+        assert set(report.frames) == {42}
+        assert len(report.frames) >= 18
 
 
 def test_messages_go_out_whole_and_programs_are_kept(esp32: Script) -> None:

@@ -22,20 +22,17 @@ FIRMWARE = ROOT / "firmware"
 sys.path.insert(0, str(FIRMWARE / "tools"))
 
 import edge_check  # noqa: E402 - found by the line above
+import make  # noqa: E402 - likewise
 
 __all__ = ["FIRMWARE", "ROOT", "Script", "build", "edge_check", "lit_within", "live_changes", "needs"]
 
 
-def build(target: str, folder: Path, **variables: str) -> Path:
-    """Make a target of the firmware's Makefile in a folder; return the folder. Skips where there is no compiler."""
-    for tool in ("make", variables.get("CC", "cc")):
-        if shutil.which(tool) is None:
-            pytest.skip(f"building the firmware needs {tool}, which is not here")
-    settings = [f"{name}={value}" for name, value in {"BUILD": str(folder), **variables}.items()]
-    done = subprocess.run(
-        ["make", "-C", str(FIRMWARE), target, *settings], capture_output=True, text=True, check=False, timeout=110
-    )
-    assert done.returncode == 0, f"make {target} failed:\n{done.stdout}{done.stderr}"
+def build(target: str, folder: Path) -> Path:
+    """Build a target of `firmware/tools/make.py` in a folder; return the folder. Skips where the compiler is absent."""
+    try:
+        make.build(target, folder)
+    except make.NoCompilerError as error:
+        pytest.skip(str(error))
     return folder
 
 
@@ -54,6 +51,7 @@ class Script:
         )
         self.edges: list[edge_check.Edge] = []
         self.kept: list[bytes] = []
+        self.waited_ns: list[int] = []  # in which it heard nothing
         self.now_ns = 0
         self.host = wire.Host(self.exchange)
         self.host.events += wire.parse(self._answers())
@@ -104,6 +102,8 @@ class Script:
                 self.edges += edge_check.read_edges([rest])
             elif word == "now":
                 self.now_ns = int(rest)
+            elif word == "waited":
+                self.waited_ns.append(int(rest))
             elif word == "kept":
                 self.kept.append(bytes.fromhex(rest))
         raise ConnectionError("the beacon ended")

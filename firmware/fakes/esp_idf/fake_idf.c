@@ -3,8 +3,10 @@
  *
  * The RMT: a memory of S symbols, filled at the start; whenever half of it has been sent, the encoder's callback writes that
  * half anew (in no time at all: how late a real interrupt is, is not modelled, only that it has half a memory's time). A symbol
- * is two levels with 15 bits of ticks each; a length of nothing ends the transmission, which here is a crash. A stop takes effect
- * at the end of the symbol, as on the ESP32; then the pin is dark.
+ * is two levels with 15 bits of ticks each; a length of nothing ends the transmission, which here is a crash.
+ *
+ * A stop: C3 and S3 stop at once. The ESP32 cannot: its driver (esp_driver_rmt/src/rmt_tx.c) writes such an end into the first
+ * place of the memory and waits, with interrupts off, until the peripheral comes round to it; all that lies before is sent.
  */
 #include "fake_idf.h"
 
@@ -15,6 +17,7 @@
 #define NS_PER_MS 1000000u
 #define NS_PER_S 1000000000u
 #define MEMORY_MOST 64u
+#define DIVIDER_MOST 256u
 #define LINE_MOST 4096
 #define STORE_MOST 256u
 
@@ -25,9 +28,9 @@ struct fake_channel {
     rmt_tx_channel_config_t config;
     const struct fake_encoder *encoder;
     rmt_symbol_word_t memory[MEMORY_MOST];
-    size_t at;
+    size_t at, written;
     uint64_t next_ticks; /* when the symbol on the air ends */
-    bool enabled, sending, stopping;
+    bool enabled, sending;
 };
 
 static struct fake_channel rmt;
@@ -45,18 +48,19 @@ static void tell(uint64_t ticks, bool level)
     lit = level;
 }
 
-static void refill(size_t from)
+static void refill(size_t from, size_t size)
 {
     bool done = false;
-    const size_t half = rmt.config.mem_block_symbols / 2;
-    const size_t n = rmt.encoder->config.callback(0, 0, 0, half, rmt.memory + from, &done, rmt.encoder->config.arg);
-    if (n != half || done) {
+    const size_t n =
+        rmt.encoder->config.callback(0, 0, rmt.written, size, rmt.memory + from, &done, rmt.encoder->config.arg);
+    rmt.written += n;
+    if (n != size || done) {
         fprintf(stderr, "fake RMT: the encoder left a gap\n");
         abort();
     }
 }
 
-static void send_symbol(void)
+static void send_symbol(bool interrupts)
 {
     const uint32_t word = rmt.memory[rmt.at].val;
     const uint32_t first = word & 0x7FFFu;
@@ -68,34 +72,37 @@ static void send_symbol(void)
     tell(rmt.next_ticks, (word & 0x8000u) != 0);
     tell(rmt.next_ticks + first, (word & 0x80000000u) != 0);
     rmt.next_ticks += first + second;
-    rmt.at++;
-    if (rmt.at == rmt.config.mem_block_symbols / 2) {
-        refill(0);
-    } else if (rmt.at == rmt.config.mem_block_symbols) {
-        rmt.at = 0;
-        refill(rmt.config.mem_block_symbols / 2);
+    const size_t half = rmt.config.mem_block_symbols / 2;
+    rmt.at = rmt.at + 1 == 2 * half ? 0 : rmt.at + 1;
+    if (interrupts && rmt.at % half == 0) {
+        refill(rmt.at == 0 ? half : 0, half);
     }
+}
+
+static uint64_t tick_ns(void)
+{
+    return rmt.config.resolution_hz != 0 ? NS_PER_S / rmt.config.resolution_hz : 1;
 }
 
 static void run_to(uint64_t end_ns)
 {
-    const uint64_t tick_ns = rmt.config.resolution_hz != 0 ? NS_PER_S / rmt.config.resolution_hz : 1;
-    while ((rmt.sending || rmt.stopping) && rmt.next_ticks * tick_ns <= end_ns) {
-        if (rmt.stopping) {
-            rmt.stopping = false;
-            tell(rmt.next_ticks, false);
-        } else {
-            send_symbol();
-        }
+    while (rmt.sending && rmt.next_ticks * tick_ns() <= end_ns) {
+        send_symbol(true);
     }
     now_ns = end_ns;
 }
 
 esp_err_t rmt_new_tx_channel(const rmt_tx_channel_config_t *config, rmt_channel_handle_t *channel)
 {
+    const uint32_t divider = FAKE_RMT_CLOCK_HZ / config->resolution_hz;
+    const size_t symbols = config->mem_block_symbols;
     rmt.config = *config;
     *channel = &rmt;
-    return config->mem_block_symbols <= MEMORY_MOST ? ESP_OK : ESP_FAIL;
+    /* The driver rounds a divider that is no whole number; then ticks are not what the port takes them for. */
+    if (divider < 1 || divider > DIVIDER_MOST || divider * config->resolution_hz != FAKE_RMT_CLOCK_HZ) {
+        return ESP_FAIL;
+    }
+    return symbols % 2 == 0 && symbols >= SOC_RMT_MEM_WORDS_PER_CHANNEL && symbols <= MEMORY_MOST ? ESP_OK : ESP_FAIL;
 }
 
 esp_err_t rmt_new_simple_encoder(const rmt_simple_encoder_config_t *config, rmt_encoder_handle_t *made)
@@ -124,7 +131,18 @@ esp_err_t rmt_disable(rmt_channel_handle_t channel)
     if (!channel->enabled) {
         return ESP_FAIL;
     }
-    channel->stopping = channel->sending;
+    if (channel->sending && FAKE_STOPS_AT_ONCE) {
+        tell(now_ns / tick_ns(), false);
+    } else if (channel->sending) {
+        channel->memory[0].val = 0;
+        while (channel->at != 0) {
+            send_symbol(false);
+        }
+        const uint64_t end_ns = channel->next_ticks * tick_ns();
+        printf("waited %" PRIu64 "\n", end_ns > now_ns ? end_ns - now_ns : 0);
+        now_ns = end_ns > now_ns ? end_ns : now_ns;
+        tell(channel->next_ticks, false);
+    }
     channel->enabled = false;
     channel->sending = false;
     return ESP_OK;
@@ -136,15 +154,12 @@ esp_err_t rmt_transmit(rmt_channel_handle_t channel, rmt_encoder_handle_t with, 
     if (!channel->enabled || data == 0 || size == 0 || config->loop_count != 0) {
         return ESP_FAIL;
     }
-    const uint64_t tick_ns = NS_PER_S / channel->config.resolution_hz;
-    const uint64_t now_ticks = (now_ns + tick_ns - 1) / tick_ns;
-    channel->next_ticks = channel->stopping && channel->next_ticks > now_ticks ? channel->next_ticks : now_ticks;
-    channel->stopping = false;
+    channel->next_ticks = (now_ns + tick_ns() - 1) / tick_ns();
     channel->encoder = with;
     channel->at = 0;
+    channel->written = 0;
     channel->sending = true;
-    refill(0);
-    refill(channel->config.mem_block_symbols / 2);
+    refill(0, channel->config.mem_block_symbols); /* the driver fills all of it at once */
     return ESP_OK;
 }
 

@@ -17,9 +17,24 @@ typedef int esp_err_t;
 #define ESP_ERROR_CHECK(call) ((call) == ESP_OK ? (void)0 : abort())
 #define IRAM_ATTR
 
-#define CONFIG_IDF_TARGET "esp32"
 #define CONFIG_HELIOGRAPH_LED_GPIO 4
+/* What differs between the chips (soc_caps.h and clk_tree_defs.h of ESP-IDF): symbols that a channel's memory holds, the clock
+ * that RMT_CLK_SRC_DEFAULT stands for, and whether a transmission can be stopped at once. */
+#if defined FAKE_ESP32C3
+#define CONFIG_IDF_TARGET "esp32c3"
+#elif defined FAKE_ESP32S3
+#define CONFIG_IDF_TARGET "esp32s3"
+#else
+#define CONFIG_IDF_TARGET "esp32"
+#endif
+#if defined FAKE_ESP32C3 || defined FAKE_ESP32S3
+#define SOC_RMT_MEM_WORDS_PER_CHANNEL 48
+#define FAKE_STOPS_AT_ONCE true
+#else
 #define SOC_RMT_MEM_WORDS_PER_CHANNEL 64
+#define FAKE_STOPS_AT_ONCE false
+#endif
+#define FAKE_RMT_CLOCK_HZ 80000000u
 
 typedef struct fake_channel *rmt_channel_handle_t;
 typedef struct fake_encoder *rmt_encoder_handle_t;

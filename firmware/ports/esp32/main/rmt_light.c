@@ -6,6 +6,8 @@
 #include "soc/soc_caps.h"
 
 #define SYMBOL_TICKS 2000u
+/* What the memory is filled with to end a transmission: dark, 2 us, so that all of it has gone by in 0.13 ms. */
+#define DARK_SYMBOL (10u | 10u << 16)
 #define POWER_FULL 1000u
 /* Far above what a pixel follows (some kHz), and 400 steps of duty at the peripheral's 80 MHz. */
 #define CARRIER_HZ 200000u
@@ -20,6 +22,8 @@ typedef struct {
     volatile uint16_t power; /* of the bit that was asked for last */
     uint16_t set_power;
     bool running;
+    volatile rmt_symbol_word_t *memory; /* the peripheral's own: where the first symbol was written to */
+    volatile bool ending;
 } light;
 
 static light self;
@@ -52,10 +56,13 @@ static size_t IRAM_ATTR fill(const void *data, size_t size, size_t written, size
 {
     (void)data;
     (void)size;
-    (void)written;
+    light *const of = context;
     *done = false;
+    if (written == 0u) {
+        of->memory = symbols;
+    }
     for (size_t i = 0; i < free; i++) {
-        symbols[i].val = next_symbol(context);
+        symbols[i].val = of->ending ? DARK_SYMBOL : next_symbol(of);
     }
     return free;
 }
@@ -80,6 +87,7 @@ static bool start(void)
     static const uint8_t nothing = 0; /* the encoder makes its own data; the driver wants some */
     const rmt_transmit_config_t once = {.loop_count = 0, .flags = {.eot_level = 0}};
     self.left_ticks = 0;
+    self.ending = false;
     if (rmt_encoder_reset(self.encoder) != ESP_OK || rmt_enable(self.channel) != ESP_OK) {
         return false;
     }
@@ -87,8 +95,14 @@ static bool start(void)
     return self.running || (rmt_disable(self.channel) == ESP_OK && false);
 }
 
+/* An ESP32 cannot stop: its driver marks an end at the memory's beginning and waits for it with interrupts off, 12.8 ms of light
+ * at worst. So all symbols that wait are made dark and short first: what is on the air ends within a symbol, the wait in 0.4 ms. */
 static bool stop(void)
 {
+    self.ending = true;
+    for (size_t i = 0; i < SOC_RMT_MEM_WORDS_PER_CHANNEL; i++) {
+        self.memory[i].val = DARK_SYMBOL;
+    }
     if (rmt_disable(self.channel) != ESP_OK) {
         return false;
     }

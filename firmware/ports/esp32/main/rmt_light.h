@@ -1,8 +1,8 @@
 /* The LED by the RMT peripheral: one endless transmission that an interrupt keeps fed from the pump.
  *
  * A *symbol* is two levels with their lengths in ticks. A bit is cut into symbols of at most SYMBOL_TICKS, both levels alike:
- * so a symbol never reaches beyond a bit, and where the peripheral only stops between symbols (ESP32) it is dark within
- * 200 us, which is one bit at the highest rate. The peripheral holds a memory full of symbols (64 on the ESP32, 48 on
+ * so a symbol never reaches beyond a bit, and where the peripheral cannot stop within one (ESP32) it is dark within
+ * 200 us, which is one bit at 5 kbit/s. The peripheral holds a memory full of symbols (64 on the ESP32, 48 on
  * C3 and S3) that the pump was asked for ahead: at most 12.8 ms.
  *
  * One transmission without an end, by an encoder that never says it is done: a transmission a frame would leave gaps of some
