@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import os
-import shutil
 import signal
 import subprocess
 from collections.abc import Iterator
@@ -17,37 +15,22 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import pytest
+from support.firmware import FIRMWARE, build, needs
 
-ROOT = Path(__file__).parents[2]
-FIRMWARE = ROOT / "firmware"
 _OUT_BYTES = 65_536
 _EDGES = 65_536
-
-
-def compiler() -> str:
-    """Return the C compiler; the test is skipped where there is none."""
-    found = shutil.which(os.environ.get("CC", "cc"))
-    if found is None:
-        pytest.skip("there is no C compiler here (cc)")
-    return found
-
-
-def _built(folder: Path) -> None:
-    if not (FIRMWARE / "core").is_dir():
-        pytest.skip("the firmware is not here")
-    folder.mkdir(parents=True, exist_ok=True)
 
 
 @cache
 def library(folder: Path) -> Any:
     """Return the core with its test's shim as a shared library, built in a folder."""
-    _built(folder)
+    folder.mkdir(parents=True, exist_ok=True)
     made = folder / "beacon.so"
+    needs("cc", "gcc libc6-dev")
     sources = [str(path) for path in sorted((FIRMWARE / "core").glob("*.c"))]
     shim = str(Path(__file__).with_suffix(".c"))
     flags = ["-std=c11", "-O1", "-fPIC", "-shared", f"-I{FIRMWARE / 'core'}"]
-    subprocess.run([compiler(), *flags, "-o", str(made), shim, *sources], check=True, timeout=110)
+    subprocess.run(["cc", *flags, "-o", str(made), shim, *sources], check=True, timeout=110)
     loaded = ctypes.CDLL(str(made))
     loaded.vb_new.restype = ctypes.c_void_p
     loaded.vb_take.restype = loaded.vb_edges.restype = ctypes.c_size_t
@@ -120,11 +103,7 @@ class VirtualBeacon:
 @cache
 def program(folder: Path) -> Path:
     """Return the virtual beacon's program, built in a folder."""
-    _built(folder)
-    compiler()
-    command = ["make", "-s", "-C", str(FIRMWARE), "posix", f"BUILD={folder}"]
-    subprocess.run(command, check=True, timeout=110)
-    return folder / "beacon-posix"
+    return build("posix", folder) / "beacon-posix"
 
 
 class BeaconProcess:
