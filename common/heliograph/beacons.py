@@ -6,8 +6,9 @@
     beacon/{name}/cmd      a query with a `BeaconCommand`, answered by one `BeaconReply`
 
 A command ends once: `applied` (the beacon has said so), `failed` (it has not said so in time, and nobody tries any
-more) or `refused` (it never reached the beacon). It carries a nonce that is never used again and the wall time at which
-it expires, so that a recorded command is worth nothing. Where the site has a secret, `mac` is::
+more) or `refused` (it never reached the beacon). It carries a nonce that is never used again, and the wall times at
+which it was issued and expires, so that a recorded command is worth nothing: while a controller runs it remembers the
+nonce, and after another start it takes nothing that was issued before. Where the site has a secret, `mac` is::
 
     HMAC-SHA-256(secret, msgpack(body with mac = b""))
 """
@@ -88,13 +89,15 @@ class BeaconCommand(Message, frozen=True, kw_only=True):
 
     `set` changes those of protocol, options, payload, bit_rate, power, text and gap_bits that are given; `arm` lets it
     shine for `lease_s`; `disarm` makes it dark; `send` queues a text or bytes for its protocol to send, `times` times
-    or once; `save` keeps its settings over a loss of power. `nonce` is hex, drawn anew for each command.
+    or once; `save` keeps its settings over a loss of power. `nonce` is hex, drawn anew for each command; `issued_ms`
+    and `expires_ms` are Unix times.
     """
 
     SCHEMA: ClassVar[str] = "beacon_cmd"
     name: Name
     op: Operation
     nonce: Annotated[str, Meta(pattern=r"^[0-9a-f]{32}$")]
+    issued_ms: Count
     expires_ms: Count
     protocol: Name | None = None
     options: Options | None = None

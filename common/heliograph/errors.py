@@ -79,6 +79,8 @@ class Refusal(Enum):
     EXPIRED = "command expired"
     EXPIRES_LATE = "command lives too long"
     REPLAYED = "nonce used before"
+    ISSUED_BEFORE = "command from before the start"
+    ISSUED_AHEAD = "command from the future"
     TOO_FREQUENT = "commands too frequent"
     NOT_ALLOWED = "beyond what the site allows"
     # What comes from a beacon's line.

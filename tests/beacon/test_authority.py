@@ -13,7 +13,7 @@ from heliograph.errors import ConfigError, Refusal
 from heliograph.keys import key
 from heliograph_services.beacon_controller.authority import Authority, Denied
 from heliograph_services.beacon_controller.config import BeaconControllerConfig
-from support.lossy_line import SITE, UID, WALL_MS, World, command, crane, packed
+from support.lossy_line import SITE, STARTED_MS, UID, WALL_MS, World, command, crane, packed
 from support.virtual_beacon import VirtualBeacon
 
 SECRET = b"a secret that nobody guesses"
@@ -34,7 +34,7 @@ def verdict(
 
 
 def test_a_command_on_its_own_key_is_let_through_once() -> None:
-    authority = Authority(settings(), b"")
+    authority = Authority(settings(), b"", STARTED_MS)
     what = command("set", payload=21)
     assert verdict(authority, what) == what
     assert verdict(authority, what) is Refusal.REPLAYED
@@ -53,6 +53,7 @@ def test_a_command_on_its_own_key_is_let_through_once() -> None:
         (msgspec.msgpack.encode({"body": {}}), KEY, Refusal.NO_ENVELOPE),
         (command("save", at_s=-20.0), KEY, Refusal.EXPIRED),
         (command("save", at_s=41.0), KEY, Refusal.EXPIRES_LATE),
+        (command("save", at_s=1.5), KEY, Refusal.ISSUED_AHEAD),
         (command("set", bit_rate=9_000.0), KEY, Refusal.NOT_ALLOWED),
         (command("set", bit_rate=49.0), KEY, Refusal.NOT_ALLOWED),
         (command("set", power=0.6), KEY, Refusal.NOT_ALLOWED),
@@ -60,13 +61,13 @@ def test_a_command_on_its_own_key_is_let_through_once() -> None:
     ],
 )
 def test_the_first_thing_that_is_wrong_is_why(what: BeaconCommand | bytes, asked: str, reason: Refusal) -> None:
-    authority = Authority(settings(command_bytes=1000, power_max=0.5, lease_max_s=60.0), b"")
+    authority = Authority(settings(command_bytes=1000, power_max=0.5, lease_max_s=60.0), b"", STARTED_MS)
     assert verdict(authority, what, asked) is reason
     assert authority.refusals == {reason: 1}
 
 
 def test_without_the_sites_secret_nothing_is_let_through() -> None:
-    authority = Authority(settings(), SECRET)
+    authority = Authority(settings(), SECRET, STARTED_MS)
     what = command("disarm")
     assert verdict(authority, what) is Refusal.NOT_AUTHENTIC
     assert verdict(authority, what.signed(b"another secret, just as long")) is Refusal.NOT_AUTHENTIC
@@ -77,7 +78,7 @@ def test_without_the_sites_secret_nothing_is_let_through() -> None:
 
 
 def test_more_commands_than_allowed_are_refused_and_the_allowance_comes_back() -> None:
-    authority = Authority(settings(commands_hz=2.0, commands_burst=3), b"")
+    authority = Authority(settings(commands_hz=2.0, commands_burst=3), b"", STARTED_MS)
     outcomes = [verdict(authority, command("save")) for _ in range(5)]
     assert outcomes[3:] == [Refusal.TOO_FREQUENT] * 2
     assert isinstance(verdict(authority, command("save"), after_s=0.5), BeaconCommand)
@@ -85,18 +86,30 @@ def test_more_commands_than_allowed_are_refused_and_the_allowance_comes_back() -
 
 
 def test_what_has_no_secret_costs_no_allowance() -> None:
-    authority = Authority(settings(commands_hz=0.1, commands_burst=1), SECRET)
+    authority = Authority(settings(commands_hz=0.1, commands_burst=1), SECRET, STARTED_MS)
     for _ in range(50):
         assert verdict(authority, command("save")) is Refusal.NOT_AUTHENTIC
     assert isinstance(verdict(authority, command("save").signed(SECRET)), BeaconCommand)
 
 
 def test_a_nonce_is_remembered_for_as_long_as_its_command_lives() -> None:
-    authority = Authority(settings(), b"")
+    authority = Authority(settings(), b"", STARTED_MS)
     what = command("save")
     assert verdict(authority, what) == what
     assert verdict(authority, what, after_s=19.9) is Refusal.REPLAYED
     assert verdict(authority, what, after_s=20.0) is Refusal.EXPIRED
+
+
+def test_a_command_that_was_carried_out_before_a_restart_is_refused_after_it() -> None:
+    before = Authority(settings(), SECRET, STARTED_MS)
+    ahead = command("save", at_s=0.9).signed(SECRET)  # from a host whose clock is ahead by what is allowed
+    for what in (ahead, command("save").signed(SECRET)):
+        assert verdict(before, what) == what
+        for restarted_s in (0.0, 0.001, 5.0):
+            after = Authority(settings(), SECRET, WALL_MS + round(1000 * restarted_s))
+            assert verdict(after, what, after_s=restarted_s + 0.01) is Refusal.ISSUED_BEFORE
+            fresh = command("save", at_s=restarted_s + 1.01).signed(SECRET)
+            assert verdict(after, fresh, after_s=restarted_s + 1.01) == fresh
 
 
 @pytest.mark.parametrize(

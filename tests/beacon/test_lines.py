@@ -254,4 +254,4 @@ def test_a_site_that_wants_what_no_beacon_sends_is_refused() -> None:
     with pytest.raises(
         ConfigError, match=r"crane: protocol must be one of seed11, code, uart, packet, not 'frequency'"
     ):
-        ControllerCore(settings(crane(protocol="frequency")), b"", 1)
+        ControllerCore(settings(crane(protocol="frequency")), b"", 1, 0)

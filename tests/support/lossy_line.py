@@ -20,6 +20,7 @@ UID = "00000000000000a1"
 # How often the lights of beacons on quiet lines are looked at.
 _STEP_S = 0.005
 WALL_MS = 1_800_000_000_000
+STARTED_MS = WALL_MS - 3_600_000
 
 
 def crane(uid: str = UID, **changes: Any) -> Beacon:
@@ -35,8 +36,9 @@ def packed(command: BeaconCommand) -> bytes:
 
 def command(op: str, name: str = "crane", at_s: float = 0.0, **fields: Any) -> BeaconCommand:
     """Return a command that lives for 20 s from a virtual time on."""
-    expires_ms = WALL_MS + round((at_s + 20.0) * 1000)
-    return BeaconCommand(name=name, op=op, nonce=secrets.token_hex(16), expires_ms=expires_ms, **fields)  # type: ignore[arg-type]
+    issued_ms = WALL_MS + round(at_s * 1000)
+    times = {"issued_ms": issued_ms, "expires_ms": issued_ms + 20_000}
+    return BeaconCommand(name=name, op=op, nonce=secrets.token_hex(16), **times, **fields)  # type: ignore[arg-type]
 
 
 class Talker(Protocol):
@@ -76,7 +78,7 @@ class World:
     def __init__(
         self, config: BeaconControllerConfig, *, bad: float = 0.0, lost: float = 0.0, seed: int = 1, secret: bytes = b""
     ) -> None:
-        self.core = ControllerCore(config, secret, seed)
+        self.core = ControllerCore(config, secret, seed, STARTED_MS)
         self.now_s = 0.0
         self.lines: dict[str, Line] = {}
         self.replies: dict[int, list[BeaconReply]] = {}

@@ -222,6 +222,7 @@ def beacon_records() -> list[Message]:
             name="crane",
             op="set",
             nonce="000102030405060708090a0b0c0d0e0f",
+            issued_ms=1_800_000_000_000,
             expires_ms=1_800_000_020_000,
             payload=42,
             bit_rate=1000.0,

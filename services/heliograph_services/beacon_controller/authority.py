@@ -3,10 +3,14 @@
 A command is checked from the outside inwards, and the first thing that is wrong with it is why it is refused::
 
     the exact key of a listed beacon - size - envelope and schema - its name is the key's - the site's secret -
-    not expired, and not living too long - a nonce that was not used - not too frequent - within the site's limits
+    not expired, and not living too long - not issued in the future, nor before the start - a nonce that was not
+    used - not too frequent - within the site's limits
 
 Nothing that fails before the secret costs the beacon's allowance. Nonces are remembered until their command has
-expired, so that a replayed one is refused for one reason or the other. Time comes in with each check.
+expired, so that a replayed one is refused for one reason or the other; but not beyond the process. What a process took
+at wall time t was issued at ``t + clock_ahead_s`` at the latest, and t lies before the start of the next process: so
+that one refuses what was issued up to ``start + clock_ahead_s``, and need not know the nonces. (Where the controller's
+own clock is set back between the two, this does not hold.) Time comes in with each check.
 """
 
 from __future__ import annotations
@@ -40,12 +44,15 @@ class Authority:
     Args:
         config: the limits.
         secret: signs commands; empty where none is asked for.
+        started_ms: Unix time at which this process began.
     """
 
-    def __init__(self, config: BeaconControllerConfig, secret: bytes) -> None:
+    def __init__(self, config: BeaconControllerConfig, secret: bytes, started_ms: int) -> None:
         self.refusals: Refusals = Counter()
         self._config = config
         self._secret = secret
+        self._clock_ahead_ms = round(config.clock_ahead_s * 1000)
+        self._floor_ms = started_ms + self._clock_ahead_ms
         self._names = frozenset(beacon.name for beacon in config.beacons if beacon.uid)
         self._used: dict[str, int] = {}  # nonce -> when its command expires, ms; in the order of use
         self._allowance: dict[str, tuple[float, float]] = {}  # name -> commands left, as of
@@ -92,6 +99,14 @@ class Authority:
         if ahead_ms > self._config.expiry_max_s * 1000:
             limit = f"at most {self._config.expiry_max_s:g} s ahead"
             return Denied(Refusal.EXPIRES_LATE, f"it expires in {ahead_ms / 1000:.3f} s, {limit}", command.nonce)
+        early_ms = command.issued_ms - wall_ms
+        if early_ms > self._clock_ahead_ms:
+            limit = f"at most {self._config.clock_ahead_s:g} s"
+            detail = f"its sender's clock is {early_ms / 1000:.3f} s ahead, {limit} may be"
+            return Denied(Refusal.ISSUED_AHEAD, detail, command.nonce)
+        if command.issued_ms <= self._floor_ms:
+            detail = "the controller cannot know whether it was carried out before: issue it anew"
+            return Denied(Refusal.ISSUED_BEFORE, detail, command.nonce)
         if command.nonce in self._used:
             return Denied(Refusal.REPLAYED, "a command with this nonce came before", command.nonce)
         self._forget(wall_ms)

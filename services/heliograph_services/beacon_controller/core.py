@@ -43,15 +43,16 @@ class ControllerCore:
         config: settings; the site's beacons that have a uid are kept.
         secret: signs commands; empty where none is asked for.
         seed: where the numbers of requests begin.
+        started_ms: Unix time at which this process began.
 
     Raises:
         ConfigError: the site wants a beacon to send what none can.
     """
 
-    def __init__(self, config: BeaconControllerConfig, secret: bytes, seed: int) -> None:
+    def __init__(self, config: BeaconControllerConfig, secret: bytes, seed: int, started_ms: int) -> None:
         self._config = config
         self._random = random.Random(seed)  # noqa: S311 - numbers that must differ, not be secret
-        self.authority = Authority(config, secret)
+        self.authority = Authority(config, secret, started_ms)
         self._keepers: dict[str, Keeper] = {}
         for beacon in config.beacons:
             if not beacon.uid:

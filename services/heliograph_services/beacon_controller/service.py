@@ -64,7 +64,8 @@ def serve(launch: Launch[BeaconControllerConfig], stop: Stop) -> int:
     from heliograph.shell.bus import connected  # noqa: PLC0415 - zenoh, not needed for --help
     from heliograph.shell.links import client_config  # noqa: PLC0415
 
-    core = ControllerCore(launch.config, secret_of(launch.config.secret_file), secrets.randbits(32))
+    secret = secret_of(launch.config.secret_file)
+    core = ControllerCore(launch.config, secret, secrets.randbits(32), time.time_ns() // 1_000_000)
     source = f"{launch.kind}/{launch.instance}"
     with connected(client_config(launch.site.bus), launch.site.site, source, stop) as bus:
         if bus is None:

@@ -23,7 +23,7 @@ from typing import Any, Final
 import msgspec
 
 from heliograph.beacons import BeaconCommand, BeaconReply, BeaconState, Settings
-from heliograph.errors import BusError, ConfigError
+from heliograph.errors import BusError, ConfigError, Refusal
 from heliograph.shell.bus import Bus, connected
 from heliograph.shell.links import client_config
 from heliograph.shell.process import Stop
@@ -35,6 +35,8 @@ from heliograph_services.cli.lines import dump
 _ANSWER_S: Final = 65.0
 # A command that nobody takes up within this is worth nothing: clocks of two hosts may differ by some of it.
 _EXPIRES_S: Final = 20.0
+# A controller refuses what was issued within `clock_ahead_s` of its start, 1 s by default.
+_JUST_STARTED_S: Final = 3.0
 _LEASE_S: Final = 600.0
 # The last states arrive within milliseconds of the subscription; a busy router takes longer.
 _LIST_S: Final = 1.0
@@ -50,14 +52,16 @@ def run(argv: Sequence[str]) -> int:
     site = load_site(arguments.site)
     if arguments.connect:
         site = msgspec.structs.replace(site, bus=BusLinks(connect=(arguments.connect,), tls=site.bus.tls))
-    command = None if arguments.action in {"list", "watch"} else command_of(arguments, site)
+    is_command = arguments.action not in {"list", "watch"}
+    if is_command:
+        command_of(arguments, site)  # what is wrong with it is told before anybody is looked for
     stop = Stop()
     stop.install()
     with connected(client_config(site.bus, wait=False), site.site, f"client/{os.getpid()}", stop) as bus:
         if bus is None:
             return 0
-        if command is not None:
-            return _ask(bus, command, as_json=arguments.json)
+        if is_command:
+            return _command(bus, stop, arguments, site)
         duration_s = arguments.duration if arguments.action == "watch" else _LIST_S
         return _follow(bus, stop, duration_s, is_list=arguments.action == "list", as_json=arguments.json)
 
@@ -109,11 +113,13 @@ def command_of(arguments: argparse.Namespace, site: Site) -> BeaconCommand:
     if arguments.name not in names:
         known = ", ".join(names) or "none"
         raise ConfigError(f"{site.path}: no [[beacon]] {arguments.name!r} with a uid; there are: {known}")
+    now_ms = time.time_ns() // 1_000_000
     body: dict[str, Any] = {
         "name": arguments.name,
         "op": arguments.action,
         "nonce": secrets.token_hex(16),
-        "expires_ms": time.time_ns() // 1_000_000 + round(_EXPIRES_S * _MS),
+        "issued_ms": now_ms,
+        "expires_ms": now_ms + round(_EXPIRES_S * _MS),
     }
     try:
         body |= _fields_of(arguments)
@@ -155,15 +161,29 @@ def _secret_of(arguments: argparse.Namespace, site: Site) -> bytes:
         raise ConfigError(f"secret file {path}: {error.strerror}") from None
 
 
-def _ask(bus: Bus, command: BeaconCommand, *, as_json: bool) -> int:
+def _command(bus: Bus, stop: Stop, arguments: argparse.Namespace, site: Site) -> int:
+    """Give a command, and print its end; one that came too soon after the controller's start is issued anew."""
+    deadline = time.monotonic() + _JUST_STARTED_S
+    while True:
+        command = command_of(arguments, site)
+        replies = _replies(bus, command)
+        too_soon = any(reply.reason == Refusal.ISSUED_BEFORE.value for reply in replies)
+        if not too_soon or stop or time.monotonic() > deadline:
+            break
+        time.sleep(_WAIT_S)
+    for reply in replies:
+        as_json = {"type": "beacon_reply", **msgspec.to_builtins(reply)}
+        print(dump(as_json) if arguments.json else _said(command, reply))
+    return 0 if all(reply.outcome == "applied" for reply in replies) else _NOT_DONE
+
+
+def _replies(bus: Bus, command: BeaconCommand) -> list[BeaconReply]:
     answers, refused = ask(bus, command, {BeaconReply.SCHEMA: BeaconReply}, _ANSWER_S)
     replies = [answer for answer in answers if isinstance(answer, BeaconReply) and answer.name == command.name]
     if not replies:
         why = refused[0] if refused else "is a beacon_controller running there?"
         raise BusError(f"nobody answers for {command.name}: {why}")
-    for reply in replies:
-        print(dump({"type": "beacon_reply", **msgspec.to_builtins(reply)}) if as_json else _said(command, reply))
-    return 0 if all(reply.outcome == "applied" for reply in replies) else _NOT_DONE
+    return replies
 
 
 def _said(command: BeaconCommand, reply: BeaconReply) -> str:
