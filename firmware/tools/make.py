@@ -2,6 +2,7 @@
 """Build the beacon's firmware: Python 3.11 and a C compiler, nothing else.
 
     python3 firmware/tools/make.py [TARGET ...] [--build FOLDER]     default: posix, into firmware/build
+    python3 firmware/tools/make.py --missing                        say what cannot be built or run here, and why
 
     posix                        the virtual beacon, for this machine
     script                       the core on a clock of the tests' own
@@ -30,11 +31,21 @@ FIRMWARE: Final = Path(__file__).resolve().parents[1]
 PEDANTIC: Final = "-std=c11 -Wall -Wextra -Wconversion -pedantic -Werror"
 CORE: Final = "core/*.c"
 CHIPS: Final = ("esp32", "esp32c3", "esp32s3")
-PACKAGES: Final = {
-    "cc": "gcc libc6-dev",
-    "avr-gcc": "gcc-avr avr-libc",
-    "riscv64-unknown-elf-gcc": "gcc-riscv64-unknown-elf",
-    "clang": "clang",
+# What building and running a target takes: a program or a file, and Debian's packages.
+_CC: Final = ("cc", "gcc libc6-dev")
+NEEDS: Final[dict[str, tuple[tuple[str, str], ...]]] = {
+    "posix": (_CC,),
+    "script": (_CC,),
+    **dict.fromkeys(CHIPS, (_CC,)),
+    "avr": (
+        _CC,
+        ("avr-gcc", "gcc-avr"),
+        ("/usr/lib/avr/include/avr/io.h", "avr-libc"),
+        ("/usr/include/simavr/sim_avr.h", "libsimavr-dev"),
+        ("/usr/include/libelf.h", "libelf-dev"),
+    ),
+    "riscv": (("riscv64-unknown-elf-gcc", "gcc-riscv64-unknown-elf"), ("qemu-system-riscv32", "qemu-system-misc")),
+    "fuzz": (("clang", "clang"),),
 }
 
 
@@ -100,8 +111,22 @@ class BuildError(Exception):
     """A program cannot be made; says why."""
 
 
-class NoCompilerError(BuildError):
-    """Its compiler is not here; names it, and Debian's package."""
+class MissingError(BuildError):
+    """What it takes is not here; names it, and Debian's packages."""
+
+
+def missing(target: str) -> str:
+    """Return what a target takes and is not here, with Debian's packages; empty where all is."""
+    chosen = {default: os.environ.get(name) or default for name, default in (p.compiler for p in TARGETS[target])}
+    absent = [
+        (what, packages)
+        for what, packages in NEEDS[target]
+        if shutil.which(shlex.split(chosen.get(what, what))[0]) is None and not Path(what).is_file()
+    ]
+    if not absent:
+        return ""
+    packages = " ".join(dict.fromkeys(packages for _, packages in absent))
+    return f"{', '.join(what for what, _ in absent)} not here (Debian: {packages})"
 
 
 def build(target: str, folder: Path) -> list[Path]:
@@ -109,10 +134,13 @@ def build(target: str, folder: Path) -> list[Path]:
 
     Raises:
         BuildError: there is no such target, or the compiler refuses.
-        NoCompilerError: the compiler is not here.
+        MissingError: what it takes is not here.
     """
     if target not in TARGETS:
         raise BuildError(f"target must be one of {', '.join(TARGETS)}, not {target!r}")
+    absent = missing(target)
+    if absent:
+        raise MissingError(f"{target}: {absent}")
     folder.mkdir(parents=True, exist_ok=True)
     return [_made(program, folder) for program in TARGETS[target]]
 
@@ -124,7 +152,8 @@ def _made(program: Program, folder: Path) -> Path:
     ]
     if made.exists() and made.stat().st_mtime > max(path.stat().st_mtime for path in _inputs()):
         return made
-    command = [*_compiler(program), *program.flags.split(), "-Icore"]
+    variable, default = program.compiler
+    command = [*shlex.split(os.environ.get(variable) or default), *program.flags.split(), "-Icore"]
     if program.compiler == HOST:
         command += shlex.split(os.environ.get("CFLAGS", "-O2 -g"))
     command += ["-o", str(made.resolve()), *sources, *program.libraries.split()]
@@ -132,15 +161,6 @@ def _made(program: Program, folder: Path) -> Path:
     if done.returncode:
         raise BuildError(f"{program.name}: {shlex.join(command)}\n{done.stderr}")
     return made
-
-
-def _compiler(program: Program) -> list[str]:
-    variable, default = program.compiler
-    words = shlex.split(os.environ.get(variable) or default)
-    if shutil.which(words[0]) is None:
-        package = PACKAGES.get(words[0])
-        raise NoCompilerError(f"{program.name} needs {words[0]}" + (f" (Debian: {package})" if package else ""))
-    return words
 
 
 def _inputs() -> list[Path]:
@@ -155,7 +175,13 @@ def main(arguments: list[str]) -> int:
     parser.add_argument(
         "--build", type=Path, default=FIRMWARE / "build", metavar="FOLDER", help="default: firmware/build"
     )
+    parser.add_argument("--missing", action="store_true", help="say what cannot be built or run here, and why")
     chosen = parser.parse_args(arguments)
+    if chosen.missing:
+        for target in TARGETS:
+            if absent := missing(target):
+                print(f"firmware, {target} skipped: {absent}")
+        return 0
     try:
         for target in chosen.targets:
             for made in build(target, chosen.build):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from support.firmware import Script, build, needs
+from support.firmware import Script, build
 
 
 @pytest.fixture(scope="session")
@@ -27,7 +27,5 @@ def beacon(script_program: Path) -> Iterator[Script]:
 @pytest.fixture(scope="session")
 def avr_machine(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Return the program that runs simavr, and the AVR port's firmware."""
-    needs("avr-gcc", "gcc-avr, avr-libc")
-    needs("/usr/include/simavr/sim_avr.h", "libsimavr-dev, libelf-dev")
     folder = build("avr", tmp_path_factory.mktemp("avr"))
     return folder / "simavr_run", folder / "beacon-avr.elf"

@@ -14,7 +14,7 @@ import pytest
 
 from support import beacon_wire as wire
 from support.beacon_wire import ARM, CODE, DARK, PACKET, SEED11, SET, STATUS, UART, Host, TcpLine, record
-from support.firmware import build, edge_check, needs
+from support.firmware import build, edge_check
 
 VECTORS = Path(__file__).parents[1] / "vectors"
 LEASE_S = 0.2
@@ -46,8 +46,6 @@ class Machine:
 
 @pytest.fixture(scope="module")
 def riscv(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machine]:
-    needs("riscv64-unknown-elf-gcc", "gcc-riscv64-unknown-elf")
-    needs("qemu-system-riscv32", "qemu-system-misc")
     folder = build("riscv", tmp_path_factory.mktemp("riscv"))
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(60)

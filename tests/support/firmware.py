@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import shutil
 import struct
 import subprocess
 import sys
@@ -24,22 +23,16 @@ sys.path.insert(0, str(FIRMWARE / "tools"))
 import edge_check  # noqa: E402 - found by the line above
 import make  # noqa: E402 - likewise
 
-__all__ = ["FIRMWARE", "ROOT", "Script", "build", "edge_check", "lit_within", "live_changes", "needs"]
+__all__ = ["FIRMWARE", "ROOT", "Script", "build", "edge_check", "lit_within", "live_changes", "make"]
 
 
 def build(target: str, folder: Path) -> Path:
     """Build a target of `firmware/tools/make.py` in a folder; return the folder. Skips where the compiler is absent."""
     try:
         make.build(target, folder)
-    except make.NoCompilerError as error:
+    except make.MissingError as error:
         pytest.skip(str(error))
     return folder
-
-
-def needs(what: str, package: str) -> None:
-    """Skip where a program or a file is absent; Debian's package is named."""
-    if shutil.which(what) is None and not Path(what).is_file():
-        pytest.skip(f"{what} is not here (Debian: {package})")
 
 
 class Script:

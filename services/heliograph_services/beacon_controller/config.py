@@ -58,8 +58,8 @@ class BeaconControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_u
     commands_burst: Annotated[int, Meta(ge=1, le=10_000, description="commands at once before that limit bites")] = 20
     # Clocks of two hosts may differ by seconds; what lives longer would have to be remembered longer.
     expiry_max_s: Annotated[float, Meta(ge=1.0, le=600.0, description="how far ahead a command may expire")] = 60.0
-    # Hosts on one network agree to 0.1 s. For so long a controller that has just started refuses every command: it cannot
-    # tell one of now from one that was recorded before it started.
+    # Hosts on one network agree to 0.1 s. For so long a controller that has just started refuses every command: it
+    # cannot tell one of now from one that was recorded before it started.
     clock_ahead_s: Annotated[
         float, Meta(ge=0.0, le=60.0, description="how far ahead of the controller's a sender's clock may be")
     ] = 1.0

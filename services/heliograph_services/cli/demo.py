@@ -1,7 +1,8 @@
 """The demo: all services as separate processes on this machine, and a client that prints who is there.
 
 ``deploy/demo`` sets everything up and runs this. What it makes lies in a temporary folder and goes with it. The last
-line on stdout is one JSON object; exit status 0 only if every expected identification arrived.
+line on stdout is one JSON object; exit status 0 only if every expected identification arrived, and the text that a
+virtual beacon was given (`demo_firmware`; skipped where there is no C compiler).
 """
 
 from __future__ import annotations
@@ -107,6 +108,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--fidelity", choices=("full", "live"), default="live", help="how finely the surroundings are rendered (live)"
     )
+    parser.add_argument(
+        "--no-firmware", action="store_true", help="leave out the beacon's own firmware, which takes a C compiler"
+    )
     parser.add_argument("--kill-tracker", action="store_true", help="kill the tracker midway with signal 9")
     return parser
 
@@ -136,6 +140,7 @@ def _run(arguments: argparse.Namespace, folder: Path, stop: Stop) -> int:
                 kill = _follow(bus, supervised, view, tally, arguments, stop)
         if not stop:
             supervised.stop()
+    firmware = None if arguments.no_firmware or stop else _firmware(folder, stop)
     if stop:
         return 128 + signal.SIGINT
     result = {
@@ -153,11 +158,21 @@ def _run(arguments: argparse.Namespace, folder: Path, stop: Stop) -> int:
         "duration_s": round(time.monotonic() - start, 1),
         "restarts": tally.restarts,
     }
+    if firmware is not None:
+        result["firmware"] = firmware
     if kill is not None:
         result["tracker_back_s"] = None if kill.back_s is None else round(kill.back_s, 2)
         result["refreshed_meanwhile"] = dict(sorted(kill.refreshed.items()))
     print(json.dumps(result), flush=True)
-    return _NOT_ALL if result["missing"] else 0
+    is_deaf = firmware is not None and firmware.get("heard") is False
+    return _NOT_ALL if result["missing"] or is_deaf else 0
+
+
+def _firmware(folder: Path, stop: Stop) -> dict[str, Any]:
+    """Let the beacon's own firmware speak, where it can be compiled."""
+    from heliograph_services.cli.demo_firmware import firmware_in_the_loop  # noqa: PLC0415 - needed here alone
+
+    return firmware_in_the_loop(folder, stop, lambda line: print(line, flush=True))
 
 
 def _follow(
