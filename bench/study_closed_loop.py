@@ -3,10 +3,10 @@
     python bench/study_closed_loop.py [--seed N] [--open] [--far-m M] [--seconds S]
 
 Everything in one process and in the scene's time: the firmware's core, compiled by the C compiler, makes the edges; the
-simulator sees them from a camera that goes away and comes back; tracker and decoder read the events; the controller's core
-hears `ids` and `link` as they are published, and talks to the beacon over its serial protocol. Printed each second: distance,
-bit rate, and the share of the beacon's frames of that second that were read (frames read / what its bit rate sends).
-`--open` leaves the rate at the highest: what the loop is to be compared with.
+simulator sees them from a camera that goes away and comes back; tracker and decoder read the events; the controller's
+core hears `ids` and `link` as they are published, and talks to the beacon over its serial protocol. Printed each
+second: distance, bit rate, and the frames sent and read in it. `--open` leaves the rate at the highest: what the loop
+is to be compared with.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
-import numpy as np
-
-from heliograph.messages import Frames, Identification, Link, Message  # noqa: E402 - the tests' virtual beacon is found by the line above
+from heliograph.messages import Frames, Identification, Link  # noqa: E402 - `support` is found by the line above
 from heliograph.site import Beacon  # noqa: E402
 from heliograph_services.beacon_controller.config import BeaconControllerConfig  # noqa: E402
 from heliograph_services.cli.pipeline import ONE_PROCESS, Pipeline  # noqa: E402
@@ -40,7 +40,7 @@ from support.virtual_beacon import VirtualBeacon  # noqa: E402
 LADDER = (250.0, 500.0, 1000.0, 2000.0)
 BITS = 11
 PAYLOAD = 42
-# The light must be known ahead of the camera: by a chunk of the rendering and a window, and at first by a second and those.
+# The light must be known ahead of the camera: by a chunk of the rendering and a window, at first by a second more.
 AHEAD_S = 0.1
 FIRST_S = 1.2
 # Near, away, far, back, near: shares of the run at which each of them ends.
@@ -88,11 +88,7 @@ class Loop:
         self._fifo = os.open(edges, os.O_RDWR)
         self._pass(FIRST_S)
         scene = folder / "scene.toml"
-        points = (
-            (0.0, arguments.near_m),
-            *zip((t * arguments.seconds for t in TURNS), _heights(arguments), strict=True),
-        )
-        path = ", ".join(f"[{t}, 0, 0, {z}]" for t, z in points)
+        path = ", ".join(f"[{t}, 0, 0, {z}]" for t, z in journey(arguments))
         scene.write_text(SCENE.format(sensor=arguments.sensor, points=path, intensity=arguments.intensity, edges=edges))
         source = EventSourceConfig(
             backend="simulated", scenario=str(scene), duration_s=arguments.seconds, seed=arguments.seed, fidelity="live"
@@ -120,9 +116,11 @@ class Loop:
         os.write(self._fifo, "\n".join([*lines, f"# until {round(until_s * 1e9)}", ""]).encode())
 
 
-def _heights(arguments: argparse.Namespace) -> tuple[float, ...]:
+def journey(arguments: argparse.Namespace) -> list[tuple[float, float]]:
+    """Return the camera's distance at the turns: (s, m)."""
     near, far = arguments.near_m, arguments.far_m
-    return near, far, far, near, near
+    ends = (t * arguments.seconds for t in TURNS)
+    return [(0.0, near), *zip(ends, (near, far, far, near, near), strict=True)]
 
 
 def main() -> None:
@@ -136,8 +134,7 @@ def main() -> None:
     parser.add_argument("--sensor", default="dvxplorer_mini")
     parser.add_argument("--open", action="store_true", help="the highest rate, whatever the link")
     arguments = parser.parse_args()
-    points = ((0.0, arguments.near_m), *zip((t * arguments.seconds for t in TURNS), _heights(arguments), strict=True))
-    times, heights = zip(*points, strict=True)
+    times, distances = zip(*journey(arguments), strict=True)
     right = wrong = 0
     sent = 0.0
     rows: list[dict[str, float]] = []
@@ -150,25 +147,16 @@ def main() -> None:
             rate = loop.beacon.look().millirate / 1000
             sent += rate / BITS * 0.01
             if t_s - len(rows) >= 1.0 - 1e-9:
-                height = float(np.interp(t_s, times, heights))
-                row = {
-                    "t_s": round(t_s),
-                    "distance_m": round(height, 1),
-                    "bit_rate": rate,
-                    "sent": round(sent),
-                    "right": right,
-                    "wrong": wrong,
-                }
+                distance_m = round(float(np.interp(t_s, times, distances)), 1)
+                row = {"t_s": round(t_s), "distance_m": distance_m, "bit_rate": rate}
+                row |= {"sent": round(sent), "right": right, "wrong": wrong}
                 rows.append(row)
                 print(json.dumps(row), flush=True)
                 right = wrong = 0
                 sent = 0.0
     total = {name: sum(row[name] for row in rows) for name in ("sent", "right", "wrong")}
-    print(
-        json.dumps(
-            {"seed": arguments.seed, "open": arguments.open, "rates": [row["bit_rate"] for row in rows], **total}
-        )
-    )
+    rates = [row["bit_rate"] for row in rows]
+    print(json.dumps({"seed": arguments.seed, "open": arguments.open, "rates": rates, **total}))
 
 
 if __name__ == "__main__":

@@ -2,9 +2,9 @@
 
     python bench/study_firmware.py [--rates 100] [--changes 1000] [--seconds 2] [--seed N]
 
-For each of ESP32, C3 and S3: so many random rates from 50 bit/s to 5 kbit/s, each from its own start. In simavr, where it
-and gcc-avr are installed: so many live changes of the payload at 5 kbit/s. Prints a JSON object for each: frames, damaged
-ones, the worst error of an interval and the drift over the whole, ns.
+For each of ESP32, C3 and S3: so many random rates from 50 bit/s to 5 kbit/s, each from its own start. In simavr, where
+it and gcc-avr are installed: so many live changes of the payload at 5 kbit/s. Prints a JSON object for each: frames,
+damaged ones, the worst error of an interval and the drift over the whole, ns.
 """
 
 from __future__ import annotations

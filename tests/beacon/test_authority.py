@@ -154,3 +154,10 @@ def test_a_refused_command_does_not_reach_the_beacon(build: Path) -> None:
 def test_settings_that_contradict_each_other_are_refused(changes: dict[str, Any], words: str) -> None:
     with pytest.raises((ConfigError, msgspec.ValidationError), match=words):
         settings(**changes)
+
+
+def test_the_controllers_page_names_every_reason_of_its_own() -> None:
+    page = (Path(__file__).parents[2] / "services/heliograph_services/beacon_controller/README.md").read_text()
+    names = list(Refusal)
+    own = names[names.index(Refusal.NOT_EXACT) : names.index(Refusal.OTHER_BEACON) + 1]
+    assert [reason.value for reason in own if f"`{reason.value}`" not in page] == []
