@@ -40,7 +40,7 @@ repeats itself in step with both is on the grid with a chance of q an edge.
 from __future__ import annotations
 
 from functools import lru_cache
-from math import lgamma, log, pi, sqrt
+from math import inf, lgamma, log, pi, sqrt
 from typing import Final
 
 import numba
@@ -49,7 +49,7 @@ import numpy.typing as npt
 
 from heliograph.link.clock import Floats
 from heliograph.link.frames import CyclicCode, bits_of
-from heliograph.link.scans import FAR, FEW, GAPS_LEAST, IN_A_ROW, NEAR, ON_GRID, starts
+from heliograph.link.scans import spacing, starts
 from heliograph.link.state import (
     AT,
     GRID_FRAMES,
@@ -122,19 +122,10 @@ def read_out(t: Floats) -> float:
         t: (n,) event times in nominal bits, not falling.
     """
     begun = starts(t)
-    gaps = np.diff(begun)
-    if len(gaps) < GAPS_LEAST:
-        return 0.0
-    least = np.sort(gaps)[int(FEW * len(gaps))]
-    near = gaps[np.abs(gaps - least) < NEAR * least]
-    q = float(near.mean())
-    if q < SCAN_LEAST or len(near) < IN_A_ROW * len(gaps):
-        return 0.0
+    q = spacing(begun, SCAN_LEAST, inf)
     whole = abs(q - max(round(q), 1))
-    if whole < IN_STEP or (whole < WHOLE and len(np.unique(t)) > STAMPS * len(begun)):
-        return 0.0
-    short = gaps[gaps < FAR * q] / q
-    return q if float(np.mean(np.abs(short - np.round(short)) < NEAR)) >= ON_GRID else 0.0
+    in_step = whole < IN_STEP or (whole < WHOLE and len(np.unique(t)) > STAMPS * len(begun))
+    return 0.0 if in_step else q
 
 
 @numba.njit(nogil=True)

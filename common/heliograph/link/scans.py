@@ -144,13 +144,18 @@ def starts(t: Floats) -> Floats:
 
 def quantum(at: Floats) -> float:
     """Return the length of a scan, in bits, given the times (n,) of those with events; 0 where they are no scans."""
+    return spacing(at, LEAST, MOST)
+
+
+def spacing(at: Floats, least: float, most: float) -> float:
+    """Return the length, in bits, of which times (n,) lie whole numbers apart; 0 where none of least to most is."""
     gaps = np.diff(at)
     if len(gaps) < GAPS_LEAST:
         return 0.0
-    least = np.sort(gaps)[int(FEW * len(gaps))]
-    near = gaps[np.abs(gaps - least) < NEAR * least]
+    small = np.sort(gaps)[int(FEW * len(gaps))]
+    near = gaps[np.abs(gaps - small) < NEAR * small]
     q = float(near.mean())
-    if not LEAST <= q <= MOST or len(near) < IN_A_ROW * len(gaps):
+    if not least <= q <= most or len(near) < IN_A_ROW * len(gaps):
         return 0.0
     short = gaps[gaps < FAR * q] / q
     return q if float(np.mean(np.abs(short - np.round(short)) < NEAR)) >= ON_GRID else 0.0
