@@ -265,13 +265,19 @@ class Link(Message, frozen=True, kw_only=True):
 
 
 class Progress(Message, frozen=True, kw_only=True):
-    """A service has finished all input of a camera before t_us, and published what follows from it."""
+    """A service has finished all input of a camera before t_us, and published what follows from it.
+
+    `published` counts what the sender had published until then, by topic: keys of different priority overtake one
+    another, and a reader knows from it whether it holds all that came before.
+    """
 
     SCHEMA: ClassVar[str] = "progress"
+    VERSION: ClassVar[tuple[int, int]] = (1, 1)
     camera: Name
     service: Name
     t_us: TimeUs
     done: bool = False
+    published: Annotated[dict[Name, Count], Meta(max_length=64)] = {}
 
     @property
     def time_us(self) -> int:

@@ -131,7 +131,7 @@ def every_record() -> list[Message]:
             events_per_transition=18.5,
             mar_estimate=0.96875,
         ),
-        Progress(camera="cam0", service="decoder", t_us=2000, done=False),
+        Progress(camera="cam0", service="decoder", t_us=2000, done=False, published={"frames": 12, "ids": 1}),
         Health(
             service="decoder",
             instance="decoder",

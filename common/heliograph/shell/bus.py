@@ -160,6 +160,11 @@ class Bus:
             self.published[message.SCHEMA] += 1
             self.bytes_out += len(payload)
 
+    def counts(self) -> dict[str, int]:
+        """Return how many messages of each topic were published here."""
+        with self._lock:
+            return dict(self.published)
+
     def sealed(self, message: Message) -> bytes:
         """Return a record in its envelope, numbered on its key, for those who ask or answer a query."""
         with self._lock:

@@ -134,6 +134,7 @@ class Runner:
                     service=self._launch.kind,
                     t_us=message.time_us,
                     done=getattr(message, "end", False),
+                    published=self._bus.counts(),
                 )
             )
 

@@ -8,27 +8,25 @@ from __future__ import annotations
 
 import argparse
 import functools
-import heapq
 import math
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 from heliograph.errors import BusError, ConfigError
-from heliograph.messages import Identification, Message, Progress
+from heliograph.messages import Identification, Message
 from heliograph.shell.bus import Bus, connected
 from heliograph.shell.links import client_config
 from heliograph.shell.process import Stop
 from heliograph.shell.site import BusLinks, load_site
-from heliograph.wire import SCHEMAS, Header
+from heliograph.wire import SCHEMAS
+from heliograph_services.cli.in_order import InOrder
 from heliograph_services.cli.lines import dump, for_people, lines_of
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 _WAIT_S: Final = 0.1
-# After the decoder's last word, what is still on the way has this long to arrive.
-_DRAIN_S: Final = 0.5
 _FORGET_S: Final = 10.0
 
 
@@ -87,45 +85,23 @@ def follow(bus: Bus, arguments: argparse.Namespace, stop: Stop, table: _Table | 
     names = ["ids", "messages", "progress", *(["frames"] if arguments.frames else [])]
     inbox = bus.subscribe({name: SCHEMAS[name] for name in names})
     deadline = math.inf if arguments.duration is None else time.monotonic() + arguments.duration
-    ordered = _InOrder(_DRAIN_S if arguments.until_end else 0.0)
+    ordered = InOrder(names, waits=arguments.until_end)
     show = table.take if table is not None else functools.partial(_print, arguments)
-    while not stop and (now := time.monotonic()) < deadline:
+    while not stop and not ordered.ended and (now := time.monotonic()) < deadline:
         sample = inbox.get(_WAIT_S)
         opened = bus.open(sample) if sample else None
-        if opened is None:
-            if table is not None:
-                table.refresh()
-        elif not isinstance(opened[1], Progress):
+        if opened is not None:
             ordered.put(*opened, now)
-        elif opened[1].done and opened[1].service == "decoder" and arguments.until_end:
-            deadline = min(deadline, now + 2 * _DRAIN_S)
+        elif table is not None:
+            table.refresh()
         for message in ordered.take(now):
             show(message)
-    for message in ordered.take(math.inf):
+    for message in ordered.rest():
         show(message)
     if inbox.dropped:
         raise BusError(f"too slow: {sum(inbox.dropped.values())} messages were dropped here")
-
-
-class _InOrder:
-    """Gives messages in the order in which they were published, though keys of different priority overtake another.
-
-    Args:
-        hold_s: how long a message may be overtaken; 0 gives them as they come.
-    """
-
-    def __init__(self, hold_s: float) -> None:
-        self._hold_s = hold_s
-        self._waiting: list[tuple[int, int, float, Message]] = []
-        self._number = 0
-
-    def put(self, header: Header, message: Message, now: float) -> None:
-        self._number += 1
-        heapq.heappush(self._waiting, (header.mono_ns if self._hold_s else 0, self._number, now, message))
-
-    def take(self, now: float) -> Iterator[Message]:
-        while self._waiting and self._waiting[0][2] + self._hold_s <= now:
-            yield heapq.heappop(self._waiting)[3]
+    if ordered.missing:
+        raise BusError(f"{sum(ordered.missing.values())} messages were lost on the way: {dict(ordered.missing)}")
 
 
 def _print(arguments: argparse.Namespace, message: Message) -> None:
