@@ -22,6 +22,7 @@ DOCUMENTED = {
     },
     "message": {"t_us", "camera", "track", "protocol", "text"},
     "frame": {"t_us", "camera", "track", "protocol", "beacon", "payload", "x_px", "y_px", "confidence"},
+    "link": {"t_us", "camera", "track", "bit_rate", "snr_db", "jitter_us", "clock_ppm", "mar_estimate"},
     "summary": {"events", "duration_us", "tracks", "frames", "refused", "identifications", "wall_s"},
 }  # fmt: skip
 
@@ -57,7 +58,7 @@ def one_line_and_status_2(process: subprocess.CompletedProcess[str], told: str) 
 
 def test_every_documented_line_carries_its_fields(scene: Path) -> None:
     site = Path(__file__).parents[2] / "deploy" / "sites" / "laptop.toml"
-    out = lines(heliograph("decode", scene, "--site", site, "--frames", "--json"))
+    out = lines(heliograph("decode", scene, "--site", site, "--frames", "--links", "--json"))
     assert {line["type"] for line in out} == set(DOCUMENTED)
     for line in out:
         assert line.keys() >= DOCUMENTED[line["type"]]

@@ -60,6 +60,7 @@ def parser() -> argparse.ArgumentParser:
         "--option", action="append", default=[], metavar="KEY=VALUE", help="of the protocol, e.g. parity=paper_text"
     )
     made.add_argument("--frames", action="store_true", help="print every accepted frame too")
+    made.add_argument("--links", action="store_true", help="print how well each track is read, once a second")
     made.add_argument("--json", action="store_true", help="one JSON object a line")
     made.add_argument("--site", metavar="FILE", help="a site file: names of beacons, and settings of the services")
     made.add_argument("--camera", default=None, metavar="NAME", help="which camera of the site (default: its only one)")
@@ -79,7 +80,7 @@ def run(argv: Sequence[str]) -> int:
     for step in stream:
         for message in pipeline.feed(step.messages):
             tally.take(message)
-            for line in lines_of(message, frames=arguments.frames):
+            for line in lines_of(message, frames=arguments.frames, links=arguments.links):
                 print(dump(line) if arguments.json else for_people(line), flush=True)
         tally.steps(step.messages)
     if pipeline.waiting:

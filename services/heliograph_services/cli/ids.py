@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from heliograph.errors import BusError, ConfigError
-from heliograph.messages import Identification, Message
+from heliograph.messages import Identification, Link, Message
 from heliograph.shell.bus import Bus, connected
 from heliograph.shell.links import client_config
 from heliograph.shell.process import Stop
@@ -28,6 +28,8 @@ from heliograph_services.cli.lines import dump, for_people, lines_of
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 _WAIT_S: Final = 0.1
 _FORGET_S: Final = 10.0
+# The end of a text that stands beside the other columns in 80.
+_TEXT_SHOWN: Final = 18
 
 
 def run(argv: Sequence[str]) -> int:
@@ -55,6 +57,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--name", metavar="SITE", help="the site's name, where no file is given (default: *)")
     parser.add_argument("--json", action="store_true", help="one JSON object a line")
     parser.add_argument("--frames", action="store_true", help="with --json: every accepted frame too")
+    parser.add_argument("--links", action="store_true", help="how well each track is read, once a second (for aiming)")
     parser.add_argument("--refreshed", action="store_true", help="with --json: repeated states too")
     parser.add_argument("--duration", type=float, metavar="S", help="end after so many seconds")
     parser.add_argument("--until-end", action="store_true", help="end when a replayed recording has been decoded")
@@ -82,7 +85,8 @@ def follow(bus: Bus, arguments: argparse.Namespace, stop: Stop, table: _Table | 
     Raises:
         BusError: this reader was too slow.
     """
-    names = ["ids", "messages", "progress", *(["frames"] if arguments.frames else [])]
+    wanted = {"frames": arguments.frames, "link": arguments.links or table is not None}
+    names = ["ids", "messages", "progress", *(name for name, is_wanted in wanted.items() if is_wanted)]
     inbox = bus.subscribe({name: SCHEMAS[name] for name in names})
     deadline = math.inf if arguments.duration is None else time.monotonic() + arguments.duration
     ordered = InOrder(names, waits=arguments.until_end)
@@ -105,7 +109,7 @@ def follow(bus: Bus, arguments: argparse.Namespace, stop: Stop, table: _Table | 
 
 
 def _print(arguments: argparse.Namespace, message: Message) -> None:
-    for line in lines_of(message, frames=arguments.frames, refreshed=arguments.refreshed):
+    for line in lines_of(message, frames=arguments.frames, refreshed=arguments.refreshed, links=arguments.links):
         print(dump(line) if arguments.json else for_people(line), flush=True)
 
 
@@ -118,18 +122,21 @@ class _Table:
 
         self._rows: dict[tuple[str, str], tuple[Identification, float]] = {}
         self._texts: dict[str, str] = {}
+        self._links: dict[tuple[str, str], Link] = {}
         self._live = Live(console=Console(), refresh_per_second=8, get_renderable=self._render)
         self._live.start()
 
     def take(self, message: Message) -> None:
-        """Take note of a state or a text."""
+        """Take note of a state, a text, or how well a track is read."""
         if isinstance(message, Identification):
             self._rows[message.camera, message.track] = (message, time.monotonic())
+        elif isinstance(message, Link):
+            self._links[message.camera, message.track] = message
         else:
             text = getattr(message, "text", None)
             if text is not None:
                 track = getattr(message, "track", "")
-                self._texts[track] = (self._texts.get(track, "") + text)[-24:]
+                self._texts[track] = (self._texts.get(track, "") + text)[-_TEXT_SHOWN:]
 
     def refresh(self) -> None:
         """Forget who has long been lost."""
@@ -137,24 +144,31 @@ class _Table:
         gone = [key for key, (state, seen) in self._rows.items() if state.lost and now - seen > _FORGET_S]
         for key in gone:
             del self._rows[key]
+        for key in self._links.keys() - self._rows.keys():
+            del self._links[key]
 
     def _render(self) -> Any:
+        from rich.box import SIMPLE_HEAD  # noqa: PLC0415
         from rich.table import Table  # noqa: PLC0415
 
-        table = Table(title="beacons", expand=False, pad_edge=False)
-        for name, justify in (("beacon", "left"), ("camera", "left"), ("x px", "right"), ("y px", "right")):
-            table.add_column(name, justify=justify, no_wrap=True)  # type: ignore[arg-type]
-        for name in ("conf", "frames", "age s", "text"):
-            table.add_column(name, justify="right", no_wrap=True)
+        # In 80 columns the text gives way, and nothing else.
+        table = Table(title="beacons", pad_edge=False, collapse_padding=True, box=SIMPLE_HEAD)
+        for name, width in (("beacon", 6), ("camera", 6)):
+            table.add_column(name, no_wrap=True, min_width=width, max_width=18)
+        for name, width in (("x px", 6), ("y px", 6), ("conf", 4), ("SNR dB", 6), ("MAR", 4), ("age s", 5)):
+            table.add_column(name, justify="right", no_wrap=True, min_width=width)
+        table.add_column("text", justify="right", no_wrap=True)
         for state, seen in sorted(self._rows.values(), key=lambda row: (row[0].beacon, row[0].track)):
             age_s = time.monotonic() - seen
+            link = self._links.get((state.camera, state.track))
             table.add_row(
                 f"{state.beacon} (not alone)" if state.duplicates else state.beacon,
                 state.camera,
                 f"{state.x_px:.1f}",
                 f"{state.y_px:.1f}",
                 f"{state.confidence:.2f}",
-                str(state.frames_used),
+                f"{link.snr_db:.0f}" if link and link.snr_db is not None else "-",
+                f"{link.mar_estimate:.2f}" if link and link.mar_estimate is not None else "-",
                 f"{age_s:.1f}" if not state.lost else "lost",
                 self._texts.get(state.track, "").replace("\n", " "),
                 style="dim" if state.lost else "",

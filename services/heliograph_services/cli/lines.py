@@ -1,6 +1,7 @@
 """The JSON lines of the command line: the same for a recording in one process and for a site on the bus.
 
-One object a line, its `type` first: `identification`, `message`, `frame`, `summary`. Fields as in `docs/wire.md`.
+One object a line, its `type` first: `identification`, `message`, `frame`, `link`, `summary`. Fields as in
+`docs/wire.md`.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from heliograph.messages import Data, Frames, Identification, Message
+from heliograph.messages import Data, Frames, Identification, Link, Message
 
 
 def identification_line(message: Identification) -> dict[str, Any]:
@@ -67,13 +68,31 @@ def frame_lines(message: Frames) -> list[dict[str, Any]]:
     ]
 
 
-def lines_of(message: Message, *, frames: bool, refreshed: bool = False) -> list[dict[str, Any]]:
+def link_line(message: Link) -> dict[str, Any]:
+    """Return the line of how well a track is read."""
+    return {
+        "type": "link",
+        "t_us": message.t_us,
+        "camera": message.camera,
+        "track": message.track,
+        "protocol": message.protocol,
+        "bit_rate": message.bit_rate,
+        "snr_db": message.snr_db,
+        "jitter_us": message.jitter_us,
+        "clock_ppm": message.clock_ppm,
+        "events_per_transition": message.events_per_transition,
+        "mar_estimate": message.mar_estimate,
+    }
+
+
+def lines_of(message: Message, *, frames: bool, refreshed: bool = False, links: bool = False) -> list[dict[str, Any]]:
     """Return the lines of a record; none for records that are not for the reader.
 
     Args:
         message: any record.
         frames: whether frames are wanted.
         refreshed: whether identifications are wanted that only repeat a state.
+        links: whether it is wanted how well tracks are read.
     """
     if isinstance(message, Identification):
         return [identification_line(message)] if refreshed or message.change != "refreshed" else []
@@ -81,6 +100,8 @@ def lines_of(message: Message, *, frames: bool, refreshed: bool = False) -> list
         return [data_line(message)]
     if isinstance(message, Frames) and frames:
         return frame_lines(message)
+    if isinstance(message, Link) and links:
+        return [link_line(message)]
     return []
 
 
@@ -95,6 +116,11 @@ def _notes(line: dict[str, Any]) -> str:
     return f"also {others[0]}" if line["change"] == "duplicate" and others else f"{line['confidence']:.2f}"
 
 
+def _shown(value: float | None, form: str) -> str:
+    """Return a number in its form, or as wide a dash."""
+    return format(value, form) if value is not None else "-".rjust(len(format(0.0, form)))
+
+
 def for_people(line: dict[str, Any]) -> str:
     """Return a line as a person reads it, for a terminal of 80 columns."""
     t_s = line["t_us"] / 1e6
@@ -107,4 +133,10 @@ def for_people(line: dict[str, Any]) -> str:
         text = line.get("text")
         shown = json.dumps(text, ensure_ascii=False) if text is not None else line["data"]
         return f"{t_s:11.3f} s  {line['beacon'] or line['protocol']:<12.12} {shown}"
+    if line["type"] == "link":
+        return (
+            f"{t_s:11.3f} s  {line['track']:<12.12} {_shown(line['snr_db'], '5.1f')} dB  jitter"
+            f" {_shown(line['jitter_us'], '5.0f')} us  clock {_shown(line['clock_ppm'], '+6.0f')} ppm"
+            f"  MAR {_shown(line['mar_estimate'], '.2f')}"
+        )
     return f"{t_s:11.3f} s  {line['track']:<12.12} frame {line['protocol']}:{line['payload']} {line['confidence']:.2f}"
