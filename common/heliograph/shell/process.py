@@ -1,6 +1,7 @@
 """A process's manners: it stops in order on the first signal, at once on the second, and never outlives its parent.
 
-One that lies on the way from a light to its reader wakes in time (`wake_promptly`).
+One that lies on the way from a light to its reader wakes in time (`wake_promptly`), and the others let it pass
+(`give_way`).
 """
 
 from __future__ import annotations
@@ -18,10 +19,20 @@ from typing import Final
 
 # Set by a supervisor for its children: end with me.
 PARENT_VARIABLE: Final = "HELIOGRAPH_PARENT"
+# Zenoh's own setting of its threads (crate zenoh-runtime): RON, read once, when the first session opens.
+NETWORK_THREADS_VARIABLE: Final = "ZENOH_RUNTIME"
+# By default the thread that waits for a client's socket ("app") only wakes one of two readers ("rx"), which often wakes
+# the other. Here one thread does it all: what arrives wakes one, not three. Sending ("tx") stays apart: who reads may
+# have to wait for the sender to make room for the rest of a large message.
+_NETWORK_THREADS: Final = "(rx: (handover: app), app: (worker_threads: 1))"
 _PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h
 _PR_SET_TIMERSLACK: Final = 29
 # How late a sleeper may be woken, so that its waking may be joined with others': 50 us unless it is asked for less.
 _TIMER_SLACK_NS: Final = 1
+# A third of an ordinary process's weight: where each core has one competitor it still gets a quarter of a core, and a
+# tracker takes .16 to .22. (To be run only where nobody else would, SCHED_IDLE, halves what is left of its hindrance,
+# but starves on a full machine, and without privileges there is no way back.)
+_GIVING_WAY: Final = 5
 # How late a stop may be seen by a process that naps. A sleep takes 28 us of the processor, an event 43, and wakes 60 us
 # later (1 ms, shared x86).
 _NAP_S: Final = 0.02
@@ -68,6 +79,15 @@ def keep_kernels() -> None:
         os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(sys.prefix) / "numba-cache"))
 
 
+def join_network_threads() -> None:
+    """Let Zenoh wait for the network and read in one thread, unless the environment says how; before the first session.
+
+    For clients alone, which have one link. A router that waits for a slow reader in its only thread hears nobody else
+    meanwhile, and takes those for gone whose lease ends (seen: messages lost in a flood).
+    """
+    os.environ.setdefault(NETWORK_THREADS_VARIABLE, _NETWORK_THREADS)
+
+
 def wake_promptly() -> None:
     """Ask the kernel to wake this process, and its threads to come, when it is time (Linux; elsewhere nothing).
 
@@ -75,6 +95,12 @@ def wake_promptly() -> None:
     """
     if sys.platform.startswith("linux"):
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, _TIMER_SLACK_NS, 0, 0, 0)
+
+
+def give_way() -> None:
+    """Let other processes go first, from now on: this thread and those that it starts (where the system has `nice`)."""
+    if hasattr(os, "nice"):
+        os.nice(_GIVING_WAY)
 
 
 def keep_out_of_collections() -> None:
