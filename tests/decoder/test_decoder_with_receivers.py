@@ -127,7 +127,7 @@ def test_without_a_list_of_beacons_all_protocols_and_rates_are_tried(batch: Even
 
 def one_beacon(payload: int, listed: int | None, rate: float | Literal["auto"]) -> tuple[DecoderCore, list[Message]]:
     disc = Disc(0, still(50, 50))
-    bits = modulation("seed11", allow_periodic=1).encode(payload)
+    bits = modulation("seed11", periodic="believed").encode(payload)
     batch = coded(disc.path, 3.0, bits, BIT_US, 500_000, 100, 100, 1)
     beacons = () if listed is None else (Beacon(name="odd", protocol="seed11", payload=listed, bit_rate=1_000),)
     decoder = make_core(DecoderConfig(beacons=beacons, bit_rate=rate), Context("d", "b", lockstep=False))
@@ -138,15 +138,21 @@ def one_beacon(payload: int, listed: int | None, rate: float | Literal["auto"]) 
 
 
 @pytest.mark.parametrize(
-    ("listed", "rate", "read"), [(None, "auto", False), (42, 1000.0, False), (7, 1000.0, True), (None, 1000.0, True)]
+    ("listed", "rate", "read", "named"),
+    [
+        (None, "auto", False, False),
+        (42, 1000.0, False, False),
+        (7, 1000.0, True, True),
+        (None, 1000.0, True, False),
+    ],
 )
-def test_a_square_wave_is_read_where_it_is_listed_or_nothing_is_but_the_rate(
-    listed: int | None, rate: float | Literal["auto"], read: bool
+def test_a_square_wave_is_named_where_it_is_listed_and_read_where_nothing_is_but_the_rate(
+    listed: int | None, rate: float | Literal["auto"], read: bool, named: bool
 ) -> None:
     decoder, out = one_beacon(7, listed, rate)
-    names = {one.beacon for one in out if isinstance(one, Identification)}
-    assert names == ({"seed11:7" if listed is None else "odd"} if read else set())
-    if listed == 42:
+    assert {one.beacon for one in out if isinstance(one, Identification)} == ({"odd"} if named else set())
+    assert any(one.payload.count(7) for one in out if isinstance(one, Frames)) == read
+    if rate != "auto" and not named:
         assert decoder.refusals[Refusal.PERIODIC] > 10
 
 

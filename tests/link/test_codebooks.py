@@ -183,7 +183,7 @@ def test_a_sequence_file_of_uvdar_is_a_book(sequences: Path) -> None:
 def test_every_word_of_a_sequence_file_is_read_those_that_turn_into_themselves_too(
     sequences: Path, payload: int
 ) -> None:
-    link = Code(str(sequences), allow_periodic=1)
+    link = Code(str(sequences), periodic="believed")
     receiver = link.receiver(60.0)
     what = seen(Light(), repeated(link.encode(payload), 12), 60.0, 1)
     frames = read(receiver, what)

@@ -97,8 +97,8 @@ def test_unknown_options_and_receivers_are_refused_with_the_choice() -> None:
         modulation("code").receiver(1000.0, "paper")
     with pytest.raises(ValueError, match="bit rate must be in"):
         Seed11().receiver(0.0)
-    with pytest.raises(ValueError, match="allow_periodic must be true or false, not 2"):
-        modulation("seed11", allow_periodic=2)
+    with pytest.raises(ValueError, match="periodic must be one of refused, read, believed, not 2"):
+        modulation("seed11", periodic=2)
     with pytest.raises(ValueError, match="payload of code20d4 must be in"):
         modulation("code").encode(522)
 

@@ -212,12 +212,16 @@ def test_an_ambiguous_word_is_told_and_never_guessed(payload: int) -> None:
 
 
 @pytest.mark.parametrize("payload", [0, 1, 7, 31])
-def test_a_square_wave_is_refused_unless_it_is_expected(payload: int) -> None:
+def test_a_square_wave_is_refused_or_read_and_is_an_identity_only_where_it_is_expected(payload: int) -> None:
     what = seen(Light(), repeated(Seed11().encode(payload), 60), 1000.0, 1)
     receiver = modulation("seed11").receiver(1000.0)
     assert read(receiver, what) == []
     assert receiver.refusals[Refusal.PERIODIC] > 50
-    expecting = modulation("seed11", allow_periodic=True).receiver(1000.0)
+    reading = modulation("seed11", periodic="read").receiver(1000.0)
+    assert {f.payload for f in read(reading, what)} == {payload}
+    assert reading.identity() is None
+    assert reading.refusals[Refusal.PERIODIC] > 50
+    expecting = modulation("seed11", periodic="believed").receiver(1000.0)
     assert {f.payload for f in read(expecting, what)} == {payload}
     identity = expecting.identity()
     assert identity is not None

@@ -20,7 +20,7 @@ from heliograph.link.acceptance import Acceptance, Place, evidence_of, frames_ne
 from heliograph.link.beginning import Beginner, Window
 from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Text, Verdict
 from heliograph.link.cyclic_blocks import ClockBlocks, Peaks
-from heliograph.link.frames import CyclicCode
+from heliograph.link.frames import CyclicCode, Periodic
 from heliograph.units import US_PER_S, bit_us
 
 # Fewest bits a window must hold: less than two frames of seed11 cannot be aligned anyway.
@@ -43,16 +43,18 @@ class CyclicReceiver:
     Args:
         code: its words.
         bit_rate: nominal bits a second; the beacon's own may differ by 5 %.
-        read_periodic: accept words that are plain square waves; otherwise they are refused as PERIODIC.
+        periodic: what becomes of words that are plain square waves (`heliograph.link.frames.Periodic`).
     """
 
-    def __init__(self, code: CyclicCode, bit_rate: float, read_periodic: bool = False) -> None:
+    def __init__(self, code: CyclicCode, bit_rate: float, periodic: Periodic = "refused") -> None:
         self.refusals: Refusals = Counter()
         self._code = code
         self._bit_us = bit_us(bit_rate)
         self._refused_payloads = dict.fromkeys(code.twins, Refusal.AMBIGUOUS)
-        if not read_periodic:
+        if periodic == "refused":
             self._refused_payloads |= dict.fromkeys(code.periodic - code.twins.keys(), Refusal.PERIODIC)
+        # Read as frames, a row of them is no identity.
+        self._no_beacon = code.periodic if periodic == "read" else frozenset()
         self._known = frozenset(code.words)
         self._nats = one_phase.needed_of(code)
         self._needed = frames_needed(code)
@@ -343,10 +345,12 @@ class CyclicReceiver:
                 continue
             frame = LinkFrame(end_us, int(code), min(score, 1.0), margin)
             self._frame_end_us = end_us
-            if acceptance.frame(frame, Place(self._locks, int(slot)), on_grid=grid >= self._nats[int(code)]):
+            is_lamp = int(code) in self._no_beacon
+            on_grid = grid >= self._nats[int(code)] and not is_lamp
+            if acceptance.frame(frame, Place(self._locks, int(slot)), on_grid=on_grid):
                 self.refusals[Refusal.PAYLOAD_CHANGED] += 1
             elif acceptance.held_back:
-                self.refusals[Refusal.OFF_GRID] += 1
+                self.refusals[Refusal.PERIODIC if is_lamp else Refusal.OFF_GRID] += 1
             out.append(frame)
 
     def _reason(self, code: int) -> Refusal | None:

@@ -28,6 +28,10 @@ from heliograph.link.contract import Bits
 
 Parity = Literal["even", "paper_text"]
 PARITIES: Final[tuple[str, ...]] = get_args(Parity)
+# What a receiver does with words that any switched lamp of that frequency sends: refuse them; read them as frames, of
+# which no number makes an identity; or believe them, as beacons that are known to be there.
+Periodic = Literal["refused", "read", "believed"]
+PERIODIC: Final[tuple[str, ...]] = get_args(Periodic)
 
 SEED11_BITS: Final = 11
 SEED11_PAYLOAD_BITS: Final = 6

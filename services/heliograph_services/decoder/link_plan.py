@@ -203,8 +203,8 @@ def _keys(beacons: tuple[Beacon, ...], config: DecoderConfig) -> list[LinkKey]:
 def _modulation(modulation_of: ModulationOf, key: LinkKey, beacons: tuple[Beacon, ...]) -> Modulation:
     """Return the link's modulation.
 
-    Payloads that a lamp can imitate are read where the site lists one of them, and where nothing is listed but the
-    bit rate is given; a measured rate fits any lamp, so there they are refused.
+    Payloads that a lamp can imitate are believed where the site lists one of them, and read, but no identity, where
+    nothing is listed but the bit rate is given; a measured rate fits any lamp, so there they are refused.
     """
     options = dict(key.options)
     try:
@@ -212,7 +212,8 @@ def _modulation(modulation_of: ModulationOf, key: LinkKey, beacons: tuple[Beacon
     except ValueError as error:
         raise ConfigError(str(error)) from None
     advice = getattr(kind, "advice", None)
-    periodic = advice is not None and not beacons and key.bit_rate is not None
+    is_read = advice is not None and not beacons and key.bit_rate is not None
+    is_listed = False
     for beacon in beacons:
         if _key_of(beacon) != key or beacon.payload is None:
             continue
@@ -220,5 +221,7 @@ def _modulation(modulation_of: ModulationOf, key: LinkKey, beacons: tuple[Beacon
             kind.encode(beacon.payload)
         except (ValueError, TypeError) as error:
             raise ConfigError(f"beacon {beacon.name}: {error}") from None
-        periodic = periodic or (advice is not None and advice(beacon.payload) is not None)
-    return modulation_of(key.protocol, **({"allow_periodic": 1} | options)) if periodic else kind
+        is_listed = is_listed or (advice is not None and advice(beacon.payload) is not None)
+    if not (is_listed or is_read):
+        return kind
+    return modulation_of(key.protocol, **({"periodic": "believed" if is_listed else "read"} | options))

@@ -6,9 +6,11 @@ Stored: code18d4 (169 IDs of 18 bits) and code20d4 (522 of 20), distance 4 over 
 
 from __future__ import annotations
 
+from typing import cast
+
 from heliograph.link.codebook import load
 from heliograph.link.contract import Bits, Receiver
-from heliograph.link.frames import bits_of
+from heliograph.link.frames import PERIODIC, Periodic, bits_of
 
 RECEIVERS = ("default", "binning")
 
@@ -18,20 +20,21 @@ class Code:
 
     Args:
         codebook: a stored name, or the path of a book, .json or .txt (`heliograph.link.codebook`).
-        allow_periodic: read words that are plain square waves, if the book has such.
+        periodic: what the default receiver does with words that are plain square waves, if the book has such:
+            "refused", "read" (as frames that never make an identity) or "believed".
 
     Raises:
-        ValueError: no such book.
+        ValueError: no such book, another word for `periodic`.
         FileError: the file is no book.
     """
 
     name = "code"
 
-    def __init__(self, codebook: str = "code20d4", allow_periodic: bool | int = False) -> None:
-        if allow_periodic not in (0, 1):
-            raise ValueError(f"allow_periodic must be true or false, not {allow_periodic!r}")
+    def __init__(self, codebook: str = "code20d4", periodic: str = "refused") -> None:
+        if periodic not in PERIODIC:
+            raise ValueError(f"periodic must be one of {', '.join(PERIODIC)}, not {periodic!r}")
         self.code = load(codebook).code()
-        self._read_periodic = bool(allow_periodic)
+        self._periodic = cast("Periodic", periodic)
 
     def encode(self, payload: int) -> Bits:
         """Return the word of a payload.
@@ -63,4 +66,4 @@ class Code:
             raise ValueError(f"receiver of code must be one of {', '.join(RECEIVERS)}, not {name!r}")
         from heliograph.link.cyclic import CyclicReceiver  # noqa: PLC0415 - numba, only where something is received
 
-        return CyclicReceiver(self.code, bit_rate, self._read_periodic)
+        return CyclicReceiver(self.code, bit_rate, self._periodic)

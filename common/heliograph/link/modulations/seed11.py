@@ -1,7 +1,7 @@
 """`seed11`: the paper's frame, 1110 PPPPPP C, repeated (`heliograph.link.frames` has the layout).
 
 Of 64 payloads 16 are ambiguous under rotation (8 pairs) and cannot be sent; 4 of the other 48 are square waves, which a
-lamp can imitate: they can be sent, and are read where the site expects them (`allow_periodic`).
+lamp can imitate: they can be sent, and are believed where the site expects them (`periodic`).
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import cast
 
 from heliograph.link.contract import Bits, Receiver
-from heliograph.link.frames import PARITIES, Parity, bits_of, seed11_code
+from heliograph.link.frames import PARITIES, PERIODIC, Parity, Periodic, bits_of, seed11_code
 
 RECEIVERS = ("default", "paper", "binning")
 
@@ -19,23 +19,23 @@ class Seed11:
 
     Args:
         parity: "even" (the paper's example) or "paper_text" (its sentence).
-        allow_periodic: read payloads that a lamp can imitate (the default receiver otherwise refuses them as PERIODIC;
-            the paper's never does).
+        periodic: what the default receiver does with payloads that a lamp can imitate: "refused" (as PERIODIC), "read"
+            (as frames that never make an identity) or "believed". The paper's receiver reads them always.
 
     Raises:
-        ValueError: another parity.
+        ValueError: another parity, another word for `periodic`.
     """
 
     name = "seed11"
 
-    def __init__(self, parity: str = "even", allow_periodic: bool | int = False) -> None:
+    def __init__(self, parity: str = "even", periodic: str = "refused") -> None:
         if parity not in PARITIES:
             raise ValueError(f"parity must be one of {', '.join(PARITIES)}, not {parity!r}")
-        if allow_periodic not in (0, 1):
-            raise ValueError(f"allow_periodic must be true or false, not {allow_periodic!r}")
+        if periodic not in PERIODIC:
+            raise ValueError(f"periodic must be one of {', '.join(PERIODIC)}, not {periodic!r}")
         self.code = seed11_code(cast("Parity", parity))
         self._parity = parity
-        self._read_periodic = bool(allow_periodic)
+        self._periodic = cast("Periodic", periodic)
 
     def encode(self, payload: int) -> Bits:
         """Return the 11 bits of a payload.
@@ -67,7 +67,7 @@ class Seed11:
         if name == "default":
             from heliograph.link.cyclic import CyclicReceiver  # noqa: PLC0415 - numba, only where something is received
 
-            return CyclicReceiver(self.code, bit_rate, self._read_periodic)
+            return CyclicReceiver(self.code, bit_rate, self._periodic)
         if name == "paper":
             from heliograph.link.paper import PaperReceiver  # noqa: PLC0415 - for symmetry
 

@@ -117,7 +117,7 @@ def receiver_of(spec: BeaconSpec, name: str = "default") -> Receiver:
     kind = modulation(spec.protocol, **spec.options)
     if hasattr(kind, "advice"):
         # Payloads that a lamp can imitate are read: the genie knows that this is no lamp.
-        kind = modulation(spec.protocol, **({"allow_periodic": 1} | spec.options))
+        kind = modulation(spec.protocol, **({"periodic": "believed"} | spec.options))
     rate = spec.bit_rate * (1.0 + spec.clock_ppm * 1e-6)
     try:
         return kind.receiver(rate, name)
