@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from heliograph.shell.process import EXIT_FORCED, PARENT_VARIABLE, Stop
-from support.processes import PATIENCE_S, Host, collecting, free_port
+from support.processes import PATIENCE_S, collecting, free_port
 
 pytestmark = pytest.mark.processes
 
@@ -165,28 +165,6 @@ def test_a_process_that_wakes_promptly_and_its_threads_have_no_timer_slack() -> 
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.split() == ["1", "1"]
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="a matter of Linux")
-def test_a_tracker_lets_others_go_first_live_and_not_in_lockstep(tmp_path: Path) -> None:
-    niceness = []
-    for lockstep in ("false", "true"):
-        port = free_port()
-        links = f'[bus]\nconnect = ["tcp/127.0.0.1:{port}"]\n[router]\nlisten = ["tcp/127.0.0.1:{port}"]\n'
-        host = Host(
-            tmp_path,
-            lockstep,
-            f'site = "s"\nlockstep = {lockstep}\n{links}[[service]]\nkind = "tracker"\n',
-            ["tracker"],
-        )
-        try:
-            assert host.wait_for_log("tracker", "running")
-            threads = Path(f"/proc/{host.processes['tracker'].pid}/task").glob("*/stat")
-            found = {int(path.read_text().rsplit(")", 1)[1].split()[16]) for path in threads}
-            niceness.append(found - {os.getpriority(os.PRIO_PROCESS, 0)})
-        finally:
-            host.close()
-    assert niceness == [{os.getpriority(os.PRIO_PROCESS, 0) + 5}, set()]
 
 
 def test_a_short_wait_for_a_stop_sees_one_that_came() -> None:

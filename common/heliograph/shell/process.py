@@ -1,7 +1,6 @@
 """A process's manners: it stops in order on the first signal, at once on the second, and never outlives its parent.
 
-One that lies on the way from a light to its reader wakes in time (`wake_promptly`), and the others let it pass
-(`give_way`).
+One that lies on the way from a light to its reader wakes in time (`wake_promptly`).
 """
 
 from __future__ import annotations
@@ -29,10 +28,6 @@ _PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h
 _PR_SET_TIMERSLACK: Final = 29
 # How late a sleeper may be woken, so that its waking may be joined with others': 50 us unless it is asked for less.
 _TIMER_SLACK_NS: Final = 1
-# A third of an ordinary process's weight: where each core has one competitor it still gets a quarter of a core, and a
-# tracker takes .16 to .22. (To be run only where nobody else would, SCHED_IDLE, halves what is left of its hindrance,
-# but starves on a full machine, and without privileges there is no way back.)
-_GIVING_WAY: Final = 5
 # How late a stop may be seen by a process that naps. A sleep takes 28 us of the processor, an event 43, and wakes 60 us
 # later (1 ms, shared x86).
 _NAP_S: Final = 0.02
@@ -95,12 +90,6 @@ def wake_promptly() -> None:
     """
     if sys.platform.startswith("linux"):
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, _TIMER_SLACK_NS, 0, 0, 0)
-
-
-def give_way() -> None:
-    """Let other processes go first, from now on: this thread and those that it starts (where the system has `nice`)."""
-    if hasattr(os, "nice"):
-        os.nice(_GIVING_WAY)
 
 
 def keep_out_of_collections() -> None:

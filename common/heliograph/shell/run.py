@@ -23,7 +23,6 @@ from heliograph.shell.config import add_flags, given_flags, resolve
 from heliograph.shell.process import (
     Stop,
     end_with_parent,
-    give_way,
     keep_kernels,
     keep_out_of_collections,
     wake_promptly,
@@ -52,7 +51,6 @@ class Service(Generic[ConfigT]):
         inputs: schema -> whether it is the camera's (then only the configured camera's are read).
         paced_by: the input that carries the camera's time, gated in lockstep and followed by progress; "" for none.
         urgent: whether it lies on the way from a light to its reader, and is woken in time (`wake_promptly`).
-        yielding: whether it lets those pass, live and once it is warm (`give_way`).
         extra_schemas: records that are not in `heliograph.wire.SCHEMAS`, as "module:attribute" of a table.
     """
 
@@ -63,7 +61,6 @@ class Service(Generic[ConfigT]):
     inputs: Mapping[str, bool]
     paced_by: str = ""
     urgent: bool = False
-    yielding: bool = False
     extra_schemas: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -163,8 +160,6 @@ def _serve(service: Service[Any], launch: Launch[Any], stop: Stop) -> int:
     config = client_config(launch.site.bus)
     core = service.make(launch.config, context)
     keep_out_of_collections()
-    if service.yielding and not launch.site.lockstep:
-        give_way()
     with connected(config, launch.site.site, source, stop) as bus:
         if bus is None:
             return 0

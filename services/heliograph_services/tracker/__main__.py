@@ -24,7 +24,6 @@ SERVICE: Final = Service(
     make=_make,
     inputs={"onsets": True, "status": True},
     paced_by="onsets",
-    yielding=True,  # it speaks ten times a second, and what it says is extrapolated until it speaks again
 )
 
 
