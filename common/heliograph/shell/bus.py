@@ -28,7 +28,7 @@ from heliograph.keys import everything_of, key, key_of, parse
 from heliograph.messages import Message
 from heliograph.qos import PROFILES, Profile
 from heliograph.shell.inbox import Inbox, Sample
-from heliograph.shell.process import Stop, join_network_threads
+from heliograph.shell.process import Stop
 from heliograph.wire import Header, Refused, encoding_of, header_for, pack, unpack
 
 _LOG = logging.getLogger(__name__)
@@ -65,8 +65,6 @@ def open_session(config: dict[str, Any], stop: Stop | None = None) -> zenoh.Sess
     Raises:
         BusError: the links cannot be opened.
     """
-    if config["mode"] == "client":
-        join_network_threads()
     result: list[zenoh.Session | BaseException] = []
 
     def run() -> None:

@@ -18,12 +18,6 @@ from typing import Final
 
 # Set by a supervisor for its children: end with me.
 PARENT_VARIABLE: Final = "HELIOGRAPH_PARENT"
-# Zenoh's own setting of its threads (crate zenoh-runtime): RON, read once, when the first session opens.
-NETWORK_THREADS_VARIABLE: Final = "ZENOH_RUNTIME"
-# By default the thread that waits for a client's socket ("app") only wakes one of two readers ("rx"), which often wakes
-# the other. Here one thread does it all: what arrives wakes one, not three. Sending ("tx") stays apart: who reads may
-# have to wait for the sender to make room for the rest of a large message.
-_NETWORK_THREADS: Final = "(rx: (handover: app), app: (worker_threads: 1))"
 _PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h
 _PR_SET_TIMERSLACK: Final = 29
 # How late a sleeper may be woken, so that its waking may be joined with others': 50 us unless it is asked for less.
@@ -72,15 +66,6 @@ def keep_kernels() -> None:
     """
     if sys.prefix != sys.base_prefix:
         os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(sys.prefix) / "numba-cache"))
-
-
-def join_network_threads() -> None:
-    """Let Zenoh wait for the network and read in one thread, unless the environment says how; before the first session.
-
-    For clients alone, which have one link. A router that waits for a slow reader in its only thread hears nobody else
-    meanwhile, and takes those for gone whose lease ends (seen: messages lost in a flood).
-    """
-    os.environ.setdefault(NETWORK_THREADS_VARIABLE, _NETWORK_THREADS)
 
 
 def wake_promptly() -> None:
