@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from pathlib import Path
 
@@ -12,6 +13,11 @@ from hypothesis import HealthCheck, settings
 ROOT = Path(__file__).parents[1]
 # Helpers of the tests are imported as `support.NAME`.
 sys.path.insert(0, str(ROOT / "tests"))
+
+# A shell begins what it runs in the background with SIGINT ignored, and children would inherit that: those that are
+# stopped by it here would not stop.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # No deadline: these machines are noisy, and kernels compile on their first call.
 settings.register_profile("default", deadline=None, suppress_health_check=[HealthCheck.too_slow])
