@@ -22,7 +22,7 @@ from typing import Final
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from heliograph_services.cli.studies.blocks import lower_bound
+from heliograph.shares import lower_bound
 from support.crossings import Kind, outcomes
 from support.crossings_read import outcomes_read
 

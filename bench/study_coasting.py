@@ -31,8 +31,8 @@ import numpy.typing as npt
 
 from heliograph.link.modulations import modulation
 from heliograph.messages import Message, Tracks
+from heliograph.shares import difference, share
 from heliograph_services.cli.pipeline import ONE_PROCESS, Pipeline
-from heliograph_services.cli.studies.blocks import difference, share
 from heliograph_services.cli.studies.paths import TruePaths, true_paths
 from heliograph_services.decoder.__main__ import SERVICE as DECODER
 from heliograph_services.decoder.config import DecoderConfig

@@ -39,9 +39,9 @@ import numpy.typing as npt
 
 from heliograph.core import Core
 from heliograph.messages import Frames
+from heliograph.shares import difference, share
 from heliograph.truth import Truth
 from heliograph_services.cli.pipeline import ONE_PROCESS, Pipeline
-from heliograph_services.cli.studies.blocks import difference, share
 from heliograph_services.cli.studies.genie import Genie
 from heliograph_services.cli.studies.paths import true_paths
 from heliograph_services.cli.studies.running import Setting, opened

@@ -41,9 +41,9 @@ from heliograph.errors import Refusals
 from heliograph.link.contract import LinkFrame, Text, edges_of
 from heliograph.link.modulations import MODULATIONS, modulation
 from heliograph.link.ook_bits import OokBits
+from heliograph.shares import share
 from heliograph.units import bit_us
 from heliograph_services.cli.studies.asynchronous import AsyncPixels, events
-from heliograph_services.cli.studies.blocks import share
 from heliograph_services.cli.studies.strangers import nobody, others
 
 RESULTS = Path(__file__).parent / "results"

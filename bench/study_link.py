@@ -38,9 +38,9 @@ import numpy.typing as npt
 
 from heliograph.core import Core
 from heliograph.messages import Frames, Message, Tracks
+from heliograph.shares import Share, difference, share
 from heliograph.truth import Truth
 from heliograph_services.cli.pipeline import ONE_PROCESS, Pipeline
-from heliograph_services.cli.studies.blocks import Share, difference, share
 from heliograph_services.cli.studies.genie import Genie
 from heliograph_services.cli.studies.link_scenes import CONDITIONS, Condition, scenario
 from heliograph_services.cli.studies.paths import TruePaths, true_paths

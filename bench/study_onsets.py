@@ -43,13 +43,13 @@ from heliograph.events import EventBatch
 from heliograph.messages import Message
 from heliograph.onsets import OnsetCounter, OnsetSettings
 from heliograph.onsets import warm as warm_onsets
+from heliograph.shares import difference, share
 from heliograph.shell.bus import connected
 from heliograph.shell.links import client_config
 from heliograph.shell.process import Stop
 from heliograph.shell.site import BusLinks, load_site
 from heliograph.streams import Onsets
 from heliograph_services.cli.pipeline import ONE_PROCESS, Pipeline
-from heliograph_services.cli.studies.blocks import difference, share
 from heliograph_services.decoder.config import DecoderConfig
 from heliograph_services.event_source.cameras import open_camera
 from heliograph_services.event_source.cameras.contract import Window

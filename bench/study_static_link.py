@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from heliograph_services.cli.studies.blocks import share
+from heliograph.shares import share
 from heliograph_services.cli.studies.running import Reader, Setting, episode
 from heliograph_services.cli.studies.verdicts import RIGHT, WRONG, sent_frames, verdicts
 

@@ -6,7 +6,6 @@ Which receiver reads how much is the bench's business, not the tests'.
 from __future__ import annotations
 
 import json
-from math import log
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ import pytest
 from heliograph.link.contract import LinkFrame
 from heliograph_services.cli import bench_link
 from heliograph_services.cli.__main__ import main
-from heliograph_services.cli.bench_link import CONDITIONS, SECTIONS, line, most, study_seed
+from heliograph_services.cli.bench_link import CONDITIONS, SECTIONS, line, study_seed
 from heliograph_services.cli.link_genie import genie, words
 from heliograph_services.cli.link_light import DELAY_US, Damage, Seen, watch
 from heliograph_services.cli.link_trials import (
@@ -141,11 +140,6 @@ def test_the_genies_words_change_where_the_code_does() -> None:
 def test_a_kind_of_light_that_does_not_exist_is_named() -> None:
     with pytest.raises(ValueError, match="must be one of noise, random bits"):
         no_beacon("moon", SEED11, 1.0, 1)
-
-
-def test_the_bound_of_a_count_is_poissons() -> None:
-    assert most(0) == pytest.approx(-log(0.05))
-    assert most(3) == pytest.approx(7.7537, abs=1e-3)  # the tables: half of chi2(.95, 8) = 15.507
 
 
 def test_the_studys_seeds_are_no_development_seeds() -> None:

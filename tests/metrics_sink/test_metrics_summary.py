@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from heliograph.core import Context
@@ -12,7 +11,7 @@ from heliograph.errors import FileError
 from heliograph.messages import Health, Message
 from heliograph_services.metrics_sink.config import MetricsSinkConfig
 from heliograph_services.metrics_sink.service import MetricsSink, make_core, warm
-from heliograph_services.metrics_sink.summary import ratio_of, summarise, summary
+from heliograph_services.metrics_sink.summary import summarise, summary
 from support.truth_scenes import Said, Sent, state, tracks, truth
 
 CONTEXT = Context(instance="metrics_sink", boot="b0", lockstep=False)
@@ -100,36 +99,6 @@ def test_an_empty_run_has_no_ratios(tmp_path: Path) -> None:
     path = tmp_path / "m.sqlite"
     run(path, [])
     assert summarise(path).frames == 0
-
-
-def test_the_interval_is_wider_for_bursts_than_for_single_errors() -> None:
-    """100 blocks of 10 frames with 100 errors: one in each block, or ten blocks lost whole."""
-    sent = np.full(100, 10, np.int64)
-    single = ratio_of(sent - 1, sent)
-    burst = ratio_of(np.where(np.arange(100) < 10, 0, 10).astype(np.int64), sent)
-    assert single.value == burst.value == 0.9
-    assert single.low is not None
-    assert burst.low is not None
-    assert burst.high is not None
-    assert single.low == 0.9
-    # Theory for 100 independent blocks of which a tenth is lost: 0.9 +- 1.96 * sqrt(0.9 * 0.1 / 100) = 0.059.
-    assert burst.low == pytest.approx(0.9 - 0.059, abs=0.015)
-    assert burst.high == pytest.approx(0.9 + 0.059, abs=0.015)
-
-
-def test_no_error_in_k_blocks_leaves_the_bound_that_k_blocks_give() -> None:
-    sent = np.full(60, 10, np.int64)
-    found = ratio_of(sent, sent)
-    assert (found.value, found.high) == (1.0, 1.0)
-    assert found.low == pytest.approx(0.05 ** (1 / 60))
-    none = ratio_of(np.zeros(60, np.int64), sent)
-    assert none.high == pytest.approx(1 - 0.05 ** (1 / 60))
-
-
-def test_many_blocks_are_merged_without_losing_one() -> None:
-    sent = np.full(10_007, 3, np.int64)
-    found = ratio_of(sent - 1, sent)
-    assert (found.right, found.n) == (20_014, 30_021)
 
 
 def test_silence_on_the_bus_finishes_seconds_by_the_health_reports(tmp_path: Path) -> None:

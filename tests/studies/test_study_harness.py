@@ -12,9 +12,9 @@ from scipy import stats
 
 from heliograph.events import concatenate
 from heliograph.messages import Frames, Identification, Message
+from heliograph.shares import difference, lower_bound, share
 from heliograph.streams import Events
 from heliograph_services.cli.studies import crowds, holding, tracker_page, tracker_rows, tracker_tables
-from heliograph_services.cli.studies.blocks import difference, lower_bound, share
 from heliograph_services.cli.studies.genie import CORE_PX, hearer
 from heliograph_services.cli.studies.paths import TruePaths, true_paths
 from heliograph_services.cli.studies.running import Episode, Said, Setting, episode, opened, run

@@ -12,6 +12,7 @@ from heliograph.errors import Refusal, by_name
 from heliograph.messages import Message, Progress
 from heliograph.shell.bus import Bus
 from heliograph.shell.health import HealthReporter, Pulse
+from heliograph.shell.hops import Hops
 from heliograph.shell.inbox import Sample
 from heliograph.shell.process import Stop
 from heliograph.wire import SCHEMAS, Header
@@ -45,7 +46,12 @@ class Runner:
         self._pulse = Pulse()
         self._pulse.hungry = bool(service.paced_by) and not self._lockstep
         self._pulse.counters = self._counters
-        self._pulse.gauges = lambda: dict(core.gauges)
+        self._hops = Hops()
+        self._pulse.gauges = lambda: dict(core.gauges) | self._hops.take()
+        # In lockstep the sender waits for us: nothing to time.
+        self._timed = "" if self._lockstep else service.timed or service.paced_by
+        self._through_ns = 0
+        self._frames_us: int | None = None
         self._faults = 0
         self._faults_in_row = 0
         self._last_us: int | None = None
@@ -81,6 +87,7 @@ class Runner:
         return 0
 
     def _take(self, sample: Sample) -> None:
+        took_ns = time.monotonic_ns()
         opened = self._bus.open(sample)
         if opened is None:
             return
@@ -91,6 +98,8 @@ class Runner:
             self._held.append(message)
         else:
             self._feed(message)
+            if self._timed == message.SCHEMA:
+                self._hops.note(header, sample.arrived_ns, took_ns, self._through_ns, self._frames_us)
         while self._held and self._core.ready(self._held[0]):
             self._feed(self._held.popleft())
 
@@ -119,8 +128,11 @@ class Runner:
             return
         finally:
             self._pulse.busy_since_ns = None
+            self._through_ns, self._frames_us = time.monotonic_ns(), None
         for result in results:
             self._bus.publish(result)
+            if result.SCHEMA == "frames":
+                self._frames_us = result.time_us
         if self._service.paced_by == message.SCHEMA:
             self._after_input(message)
 

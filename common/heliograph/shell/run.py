@@ -51,6 +51,8 @@ class Service(Generic[ConfigT]):
         inputs: schema -> whether it is the camera's (then only the configured camera's are read).
         paced_by: the input that carries the camera's time, gated in lockstep and followed by progress; "" for none.
         urgent: whether it lies on the way from a light to its reader, and is woken in time (`wake_promptly`).
+        timed: the input whose way through the process is timed (`heliograph.shell.hops`); by default the one that
+            paces it.
         extra_schemas: records that are not in `heliograph.wire.SCHEMAS`, as "module:attribute" of a table.
     """
 
@@ -61,6 +63,7 @@ class Service(Generic[ConfigT]):
     inputs: Mapping[str, bool]
     paced_by: str = ""
     urgent: bool = False
+    timed: str = ""
     extra_schemas: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -2,7 +2,7 @@
 
 No scene and no tracker: what a receiver hears of one light (cli/link_light.py), with one kind of damage at a time. For
 each section (protocol and bit rate), condition and receiver: MAR sent and received, BAR, FER, BER, CER, goodput, false
-identifications on lights that are no beacons, with n and 95 % intervals (cli/studies/blocks.py), and the share of a
+identifications on lights that are no beacons, with n and 95 % intervals (heliograph.shares), and the share of a
 core. A frame is decided on its own bits (K = 1) by all of them. *Tuned* receivers are tuned on development seeds for
 each condition (cli/link_tuning.py); all are judged on the study's own seeds. The genie (cli/link_genie.py) knows clock,
 alignment and light: what is to be had. Evidence: simulated.
@@ -16,13 +16,14 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import math
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from heliograph.accuracy import bits_right, mar_received, mar_sent
 from heliograph.errors import ConfigError, FileError
+from heliograph.shares import most_events
 from heliograph.units import US_PER_S
 from heliograph_services.cli.bench import this_machine
 from heliograph_services.cli.link_genie import genie
@@ -40,7 +41,6 @@ from heliograph_services.cli.link_trials import (
     slots_of,
 )
 from heliograph_services.cli.link_tuning import CONTENDERS, GENIE, Contender, maker, plain, tune
-from heliograph_services.cli.studies.blocks import share
 
 NAME: Final = "bench link, release 1"
 # 40 pixels make 100 events an edge, 80 make 200: as many as the recordings of text at 3125 bit/s have.
@@ -206,7 +206,7 @@ class Book:
             "track_s": round(seconds, 1),
             "identities": identities,
             "identities_per_track_hour": round(identities / seconds * 3600.0, 1),
-            "at_most_per_track_hour": round(most(identities) / seconds * 3600.0, 1),
+            "at_most_per_track_hour": round(most_events(identities) / seconds * 3600.0, 1),
             "frames": frames,
             "frames_per_s": round(frames / seconds, 3),
             "core_share": round(sum(one.cpu_s for one in found) / seconds, 4),
@@ -231,29 +231,18 @@ def sources() -> str:
     return digest.hexdigest()[:16]
 
 
-def most(k: int) -> float:
-    """Return the mean at which k or fewer events have a probability of .05 (Poisson): the upper 95 % bound."""
-    low, high = float(k), 3.0 * k + 10.0
-    for _ in range(60):
-        mean = (low + high) / 2
-        below = sum(math.exp(i * math.log(mean) - mean - math.lgamma(i + 1)) for i in range(k + 1))
-        low, high = (mean, high) if below > 0.05 else (low, mean)
-    return high
-
-
 def figures(runs: list[Scored], section: Section, payload_bits: int) -> dict[str, Any]:
     """Return the figures of a row: counts added over seconds and runs, then divided."""
     blocks = blocks_of(runs)
     total = {name: float(column.sum()) for name, column in blocks.items()}
-    published = blocks["right"] + blocks["wrong"] + blocks["inserted"]
     errors = total["sent"] - total["right"] + total["inserted"]
     camera_s = sum(run.camera_s for run in runs)
     row = {
         "n": int(total["sent"]),
         "runs": len(runs),
-        "mar_sent": share(blocks["right"], blocks["sent"]).row(),
-        "mar_received": share(blocks["right"], published).row(),
-        "bar": share(blocks["bits_right"], blocks["bits"]).row(),
+        "mar_sent": mar_sent(blocks["right"], blocks["sent"]).row(),
+        "mar_received": mar_received(blocks["right"], blocks["wrong"], blocks["inserted"]).row(),
+        "bar": bits_right(blocks["bits_right"], blocks["bits"]).row(),
         "bar_by_chance": round(total["chance"] / max(total["bits"], 1.0), 4),
         "fer": round(1.0 - total["right"] / max(total["sent"], 1.0), 5),
         "wrong": int(total["wrong"]),

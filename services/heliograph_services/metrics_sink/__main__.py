@@ -31,6 +31,7 @@ SERVICE: Final = Service(
         "health": False,
         "truth": False,
     },
+    timed="frames",
     extra_schemas=truth.SCHEMAS,
 )
 

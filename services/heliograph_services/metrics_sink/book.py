@@ -12,15 +12,33 @@ from heliograph.errors import Refusal, Refusals
 from heliograph.messages import Data, Frames, Identification, Link, Message, Tracks
 from heliograph.truth import Truth
 from heliograph.units import US_PER_S
-from heliograph_services.metrics_sink.accuracy import Received, Scorer
 from heliograph_services.metrics_sink.config import MetricsSinkConfig
 from heliograph_services.metrics_sink.rows import AcquisitionRow, CountRow, Row
+from heliograph_services.metrics_sink.scoring import Received, Scorer
 from heliograph_services.metrics_sink.sightings import Sightings
 from heliograph_services.metrics_sink.timeline import Place, Timeline
 
 # What is in the name of a counter comes from the bus: beyond so many distinct ones they share one counter.
 NAMES_LIMIT: Final = 4096
 OTHER: Final = "other"
+
+# The counters that are complete when their messages are in, before any truth is looked at.
+_ARRIVED: Final = frozenset(
+    {
+        "bytes",
+        "characters",
+        "frames",
+        "identified",
+        "late",
+        "late_frames",
+        "lost",
+        "mar_estimate_ppm",
+        "mar_estimates",
+        "observed_us",
+        "refused",
+        "track_us",
+    }
+)
 
 Finished = list[tuple[int, dict[str, int]]]
 _Input = Frames | Identification | Data | Link | Tracks | Truth
@@ -98,6 +116,20 @@ class Book:
         """Return the rows since the last call."""
         rows, self._rows = self._rows, []
         return rows
+
+    def rows_so_far(self) -> list[Row]:
+        """Return what is known of the seconds that still wait: the same rows, made again, replace them later.
+
+        A process that is killed so loses a second of its counts, not those of the whole wait. Scores are left out:
+        of a second half matched they would be half a truth.
+        """
+        rows: list[Row] = []
+        for second, counts in sorted(self._counts.items()):
+            arrived = {name: n for name, n in counts.items() if n and name.partition("/")[0] in _ARRIVED}
+            rows += self._count_rows(second, arrived)
+        states = [state for _, waiting in sorted(self._states.items()) for state in waiting]
+        states.sort(key=_order_of_states)
+        return rows + list(self._sightings.so_far(states, self.camera, self._epoch))
 
     def take_refusals(self) -> Refusals:
         """Return the refusals since the last call."""
@@ -228,7 +260,7 @@ class Book:
     def _finish(self, second: int) -> tuple[int, dict[str, int]]:
         count = self._count(second)
         frames = self._frames.pop(second, [])
-        states = sorted(self._states.pop(second, []), key=lambda state: (state.t_us, state.track, state.lost))
+        states = sorted(self._states.pop(second, []), key=_order_of_states)
         self.waiting -= len(frames) + len(states)
         if self._scorer.has_truth:
             for frame in frames:
@@ -244,9 +276,15 @@ class Book:
         self._rows += self._sightings.take_rows(self.camera, self._epoch, end_us)
         self._keep_intervals(ended=False)
         counts = {name: n for name, n in self._counts.pop(second).items() if n}
-        t0_us = second * US_PER_S
-        self._rows += [CountRow(self.camera, self._epoch, t0_us, name, n) for name, n in sorted(counts.items())]
+        self._rows += self._count_rows(second, counts)
         return second, counts
+
+    def _count_rows(self, second: int, counts: dict[str, int]) -> list[CountRow]:
+        """Return a second's rows; `seconds` is 1, so that the number of seconds adds up like everything else."""
+        t0_us = second * US_PER_S
+        return [
+            CountRow(self.camera, self._epoch, t0_us, name, n) for name, n in sorted((counts | {"seconds": 1}).items())
+        ]
 
     def _keep_intervals(self, *, ended: bool) -> None:
         """Make rows of the visible intervals that have changed (ended: of all that are open, too)."""
@@ -268,6 +306,10 @@ class Book:
                         acquired_us=each.acquired_us,
                     )
                 )
+
+
+def _order_of_states(state: Identification) -> tuple[int, str, bool]:
+    return state.t_us, state.track, state.lost
 
 
 def _order(frame: Received) -> tuple[int, str, str, int, float, float]:

@@ -16,6 +16,10 @@ SETTLE_US: Final = 2_000_000
 SETTLE_MAX_US: Final = 5_000_000
 # 20 beacons at 5 kbit/s make 9,000 frames a second: room for ten times that over the longest wait.
 MAX_WAITING: Final = 500_000
+# A week of seconds is half a gigabyte for a camera with five beacons (bench/results/sink_store.json).
+SECONDS_H: Final = 168.0
+# Minutes, hours, sightings: a tenth of that a month.
+DAYS: Final = 90.0
 
 
 class MetricsSinkConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -25,6 +29,9 @@ class MetricsSinkConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
         file: the SQLite file, relative to the working directory; empty for none.
         settle_us: how long after the end of a second its counts are final.
         max_waiting: most frames, identifications and truths that wait at a time, for each camera.
+        prometheus_port: of the loopback, for `GET /metrics`; 0 for none.
+        keep_seconds_h: hours for which aggregates of a second are kept; 0 for ever.
+        keep_days: days for which everything else is kept; 0 for ever.
         beacons: the site's list; its options say how the bits of a beacon's frames are counted.
     """
 
@@ -35,4 +42,13 @@ class MetricsSinkConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     max_waiting: Annotated[
         int, Meta(ge=1_000, le=10_000_000, description="most waiting frames, identifications and truths a camera")
     ] = MAX_WAITING
+    prometheus_port: Annotated[
+        int, Meta(ge=0, le=65535, description="port of the loopback for GET /metrics (Prometheus); 0 for none")
+    ] = 0
+    keep_seconds_h: Annotated[
+        float, Meta(ge=0.0, le=87_600.0, description="hours that aggregates of a second are kept; 0 for ever")
+    ] = SECONDS_H
+    keep_days: Annotated[
+        float, Meta(ge=0.0, le=3_650.0, description="days that minutes, hours and sightings are kept; 0 for ever")
+    ] = DAYS
     beacons: Annotated[tuple[Beacon, ...], Meta(description="the site's beacons")] = ()

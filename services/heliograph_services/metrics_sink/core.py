@@ -17,13 +17,12 @@ from heliograph.messages import Data, Frames, Health, Identification, Link, Mess
 from heliograph.truth import Truth
 from heliograph_services.metrics_sink.book import Book
 from heliograph_services.metrics_sink.config import MetricsSinkConfig
-from heliograph_services.metrics_sink.rows import HealthRow, Row
+from heliograph_services.metrics_sink.processes import Processes
+from heliograph_services.metrics_sink.rows import Row
 
 SERVICE = "metrics_sink"
 # A site has a handful of cameras; names beyond this are damage, and each would cost a book.
 CAMERAS_LIMIT = 64
-# Processes of a site times their counters and gauges.
-HEALTH_LIMIT = 8192
 
 
 class MetricsCore:
@@ -33,7 +32,7 @@ class MetricsCore:
         self._config = config
         self._context = context
         self._books: dict[str, Book] = {}
-        self._health: dict[tuple[str, str, int, str], float] = {}
+        self._processes = Processes()
         self._rows: list[Row] = []
         self.refusals: Refusals = Counter()
         self.counters: dict[str, int] = {"seconds": 0, "late": 0, "dropped": 0}
@@ -42,7 +41,8 @@ class MetricsCore:
     def feed(self, message: Message) -> list[Message]:
         """Take one message and return the Metrics of the seconds that are finished by it."""
         if isinstance(message, Health):
-            self._take_health(message)
+            self._rows += self._processes.take(message)
+            self.counters["dropped"] = self._dropped()
             return []
         if not isinstance(message, Frames | Identification | Data | Link | Tracks | Truth):
             return []
@@ -79,12 +79,19 @@ class MetricsCore:
         rows, self._rows = self._rows, []
         return rows
 
+    def rows_so_far(self) -> list[Row]:
+        """Return what is known of the seconds that are not finished (`Book.rows_so_far`)."""
+        return [row for book in self._books.values() for row in book.rows_so_far()]
+
+    def _dropped(self) -> int:
+        return self._processes.dropped + sum(each.dropped for each in self._books.values())
+
     def _collect(self, book: Book, finished: list[tuple[int, dict[str, int]]]) -> list[Message]:
         self._rows += book.take_rows()
         self.refusals.update(book.take_refusals())
         self.counters["seconds"] += len(finished)
         self.counters["late"] = sum(each.late for each in self._books.values())
-        self.counters["dropped"] = sum(each.dropped for each in self._books.values())
+        self.counters["dropped"] = self._dropped()
         self.gauges["cameras"] = float(len(self._books))
         self.gauges["waiting"] = float(sum(each.waiting for each in self._books.values()))
         return [
@@ -98,19 +105,6 @@ class MetricsCore:
             )
             for second, counts in finished
         ]
-
-    def _take_health(self, health: Health) -> None:
-        values: dict[str, float] = {name: float(n) for name, n in health.counters.items()}
-        values |= health.gauges
-        values |= {"cpu_share": health.cpu_share, "uptime_s": health.uptime_s}
-        for name, value in values.items():
-            key = (health.service, health.instance, health.pid, name)
-            if key not in self._health and len(self._health) >= HEALTH_LIMIT:
-                self.counters["dropped"] += 1
-                continue
-            if self._health.get(key) != value:
-                self._health[key] = value
-                self._rows.append(HealthRow(*key, value))
 
 
 def make_core(config: MetricsSinkConfig, context: Context) -> MetricsCore:

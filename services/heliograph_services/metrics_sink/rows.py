@@ -1,12 +1,15 @@
-"""What the metrics sink keeps: four kinds of rows, each written whole, each replacing its older self.
+"""What the metrics sink keeps: seven kinds of rows, each written whole, each replacing its older self.
 
 Counts are kept, never ratios: counts of seconds, cameras and runs can be added, then divided. `epoch` tells apart the
-streams that one camera name has carried while the sink ran; a camera's time starts anew with each.
+streams that one camera name has carried while the sink ran; a camera's time starts anew with each. The seconds of a
+process are those of its own uptime. Percentiles cannot be added, so a hop's come with their n, second by second.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+Key = tuple[str | int, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +29,11 @@ class CountRow:
     t0_us: int
     name: str
     n: int
+
+    @property
+    def key(self) -> Key:
+        """Return what a later row must share to replace this one."""
+        return ("count", self.camera, self.epoch, self.t0_us, self.name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +61,11 @@ class SightingRow:
     frames: int
     ended: bool
 
+    @property
+    def key(self) -> Key:
+        """Return what a later row must share to replace this one."""
+        return ("sighting", self.camera, self.epoch, self.track, self.first_us)
+
 
 @dataclass(frozen=True, slots=True)
 class AcquisitionRow:
@@ -74,6 +87,11 @@ class AcquisitionRow:
     occluded_us: int | None
     acquired_us: int | None
 
+    @property
+    def key(self) -> Key:
+        """Return what a later row must share to replace this one."""
+        return ("acquisition", self.camera, self.epoch, self.beacon, self.began_us)
+
 
 @dataclass(frozen=True, slots=True)
 class HealthRow:
@@ -85,5 +103,65 @@ class HealthRow:
     name: str
     value: float
 
+    @property
+    def key(self) -> Key:
+        """Return what a later row must share to replace this one."""
+        return ("health", self.service, self.instance, self.pid, self.name)
 
-Row = CountRow | SightingRow | AcquisitionRow | HealthRow
+
+@dataclass(frozen=True, slots=True)
+class ProcessCountRow:
+    """By how much a counter of a process rose in one second of its uptime: rates, gaps, drops, refusals."""
+
+    service: str
+    instance: str
+    pid: int
+    second: int
+    name: str
+    n: int
+
+    @property
+    def key(self) -> Key:
+        """Return what a later row must share to replace this one."""
+        return ("processcount", self.service, self.instance, self.pid, self.second, self.name)
+
+
+@dataclass(frozen=True, slots=True)
+class LevelRow:
+    """A gauge of a process in one second of its uptime: queue depth, share of a core."""
+
+    service: str
+    instance: str
+    pid: int
+    second: int
+    name: str
+    value: float
+
+    @property
+    def key(self) -> Key:
+        """Return what a later row must share to replace this one."""
+        return ("level", self.service, self.instance, self.pid, self.second, self.name)
+
+
+@dataclass(frozen=True, slots=True)
+class HopRow:
+    """How long n messages took over one hop in one second of a process's uptime."""
+
+    service: str
+    instance: str
+    pid: int
+    second: int
+    hop: str
+    n: int
+    p50_us: int
+    p95_us: int
+    p99_us: int
+
+    @property
+    def key(self) -> Key:
+        """Return what a later row must share to replace this one."""
+        return ("hop", self.service, self.instance, self.pid, self.second, self.hop)
+
+
+ProcessRow = HealthRow | ProcessCountRow | LevelRow | HopRow
+Row = CountRow | SightingRow | AcquisitionRow | ProcessRow

@@ -1,17 +1,24 @@
-"""The tables of the metrics file, and the one way to open it for reading.
+"""The tables of the metrics file, and the two ways to open it.
 
 ::
 
     meta        schema version (one row)
     run         one row a start of a sink: its boot word, and wall-clock times of its first and last commit
-    name        counters' names, so that a row of `count` takes a few bytes
+    name        names of counters, gauges and hops, so that a row of a series takes a few bytes
     stream      a camera's epoch within a run
-    count       (stream, second, name) -> n
+    count       (stream, second, name) -> n; count_minute and count_hour: the same, added
+    span        (stream, minute) -> wall-clock time of its last row (what retention goes by), and whether it has seconds
     sighting    (stream, track, first_us)
     acquisition (stream, beacon, began_us)
-    health      (run, service, instance, pid, name) -> newest value
+    process     a process within a run, and the wall-clock time of its start
+    health      (process, name) -> newest value of each counter and gauge
+    rate        (process, second, name) -> n, by how much a counter rose; rate_minute: added
+    level       (process, second, name) -> value of a gauge; level_minute: the greatest
+    hop         (process, second, name) -> n, p50_us, p95_us, p99_us; hop_minute: n added, the mean p50, and the
+                greatest p95 and p99 of its seconds
 
-All rows are written with INSERT OR REPLACE under these keys: writing a row twice changes nothing.
+All rows are written with INSERT OR REPLACE under these keys: writing a row twice changes nothing. Times `_wall_s` are
+Unix seconds of this host; seconds of a stream are its camera's time, seconds of a process its uptime.
 """
 
 from __future__ import annotations
@@ -22,11 +29,30 @@ from typing import Final
 
 from heliograph.errors import FileError
 
-VERSION: Final = 1
+VERSION: Final = 2
 # "helg" in ASCII: tells our files from any other SQLite database.
 APPLICATION_ID: Final = 0x68656C67
 
-TABLES: Final = """
+_SERIES: Final = (
+    ("count", "stream", "second", "n INTEGER NOT NULL"),
+    ("count_minute", "stream", "minute", "n INTEGER NOT NULL"),
+    ("count_hour", "stream", "hour", "n INTEGER NOT NULL"),
+    *(
+        (f"{table}{tier}", "process", time, columns)
+        for table, columns in (
+            ("rate", "n INTEGER NOT NULL"),
+            ("level", "value REAL NOT NULL"),
+            ("hop", "n INTEGER NOT NULL, p50_us INTEGER NOT NULL, p95_us INTEGER NOT NULL, p99_us INTEGER NOT NULL"),
+        )
+        for tier, time in (("", "second"), ("_minute", "minute"))
+    ),
+)
+_SERIES_SQL: Final = "".join(
+    f"CREATE TABLE {table} ({owner} INTEGER NOT NULL REFERENCES {owner}(id), {time} INTEGER NOT NULL,"
+    f" name INTEGER NOT NULL REFERENCES name(id), {columns}, PRIMARY KEY ({owner}, {time}, name)) WITHOUT ROWID;\n"
+    for table, owner, time, columns in _SERIES
+)
+TABLES: Final = f"""
 CREATE TABLE meta (version INTEGER NOT NULL);
 CREATE TABLE run (
   id INTEGER PRIMARY KEY, boot TEXT NOT NULL, started_wall_s REAL NOT NULL, written_wall_s REAL NOT NULL);
@@ -34,29 +60,32 @@ CREATE TABLE name (id INTEGER PRIMARY KEY, text TEXT NOT NULL UNIQUE);
 CREATE TABLE stream (
   id INTEGER PRIMARY KEY, run INTEGER NOT NULL REFERENCES run(id), camera TEXT NOT NULL, epoch INTEGER NOT NULL,
   UNIQUE (run, camera, epoch));
-CREATE TABLE count (
-  stream INTEGER NOT NULL REFERENCES stream(id), second INTEGER NOT NULL, name INTEGER NOT NULL REFERENCES name(id),
-  n INTEGER NOT NULL, PRIMARY KEY (stream, second, name)) WITHOUT ROWID;
+CREATE TABLE span (
+  stream INTEGER NOT NULL REFERENCES stream(id), minute INTEGER NOT NULL, wall_s REAL NOT NULL,
+  has_seconds INTEGER NOT NULL, PRIMARY KEY (stream, minute)) WITHOUT ROWID;
 CREATE TABLE sighting (
   stream INTEGER NOT NULL REFERENCES stream(id), track TEXT NOT NULL, beacon TEXT NOT NULL, protocol TEXT NOT NULL,
   first_us INTEGER NOT NULL, last_us INTEGER NOT NULL, first_x_px REAL NOT NULL, first_y_px REAL NOT NULL,
   last_x_px REAL NOT NULL, last_y_px REAL NOT NULL, frames INTEGER NOT NULL, ended INTEGER NOT NULL,
-  PRIMARY KEY (stream, track, first_us)) WITHOUT ROWID;
+  wall_s REAL NOT NULL, PRIMARY KEY (stream, track, first_us)) WITHOUT ROWID;
 CREATE TABLE acquisition (
   stream INTEGER NOT NULL REFERENCES stream(id), beacon TEXT NOT NULL, began_us INTEGER NOT NULL,
-  lasted_us INTEGER NOT NULL, occluded_us INTEGER, acquired_us INTEGER,
+  lasted_us INTEGER NOT NULL, occluded_us INTEGER, acquired_us INTEGER, wall_s REAL NOT NULL,
   PRIMARY KEY (stream, beacon, began_us)) WITHOUT ROWID;
+CREATE TABLE process (
+  id INTEGER PRIMARY KEY, run INTEGER NOT NULL REFERENCES run(id), service TEXT NOT NULL, instance TEXT NOT NULL,
+  pid INTEGER NOT NULL, started_wall_s REAL NOT NULL, UNIQUE (run, service, instance, pid));
 CREATE TABLE health (
-  run INTEGER NOT NULL REFERENCES run(id), service TEXT NOT NULL, instance TEXT NOT NULL, pid INTEGER NOT NULL,
-  name TEXT NOT NULL, value REAL NOT NULL, PRIMARY KEY (run, service, instance, pid, name)) WITHOUT ROWID;
-"""
+  process INTEGER NOT NULL REFERENCES process(id), name INTEGER NOT NULL REFERENCES name(id), value REAL NOT NULL,
+  PRIMARY KEY (process, name)) WITHOUT ROWID;
+{_SERIES_SQL}"""
 
 
 def create(connection: sqlite3.Connection) -> None:
     """Make the tables where the file is new.
 
     Raises:
-        FileError: the file is another database, or of a later version.
+        FileError: the file is another database, or of another version.
         sqlite3.Error: it cannot be written now.
     """
     (application,) = connection.execute("PRAGMA application_id").fetchone()
@@ -78,12 +107,27 @@ def open_read(path: Path) -> sqlite3.Connection:
     """
     if not path.is_file():
         raise FileError(f"{path}: no such metrics file")
+    uri = f"{path.resolve().as_uri()}?mode=ro"
     try:
-        connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=1.0)
-        (application,) = connection.execute("PRAGMA application_id").fetchone()
-        _check(connection, application, str(path))
+        try:
+            return _opened(uri, str(path))
+        except sqlite3.OperationalError:
+            # A file in WAL mode wants its companions beside it; on a read-only medium there is none, nor a writer.
+            if Path(f"{path}-wal").exists():
+                raise
+            return _opened(f"{uri}&immutable=1", str(path))
     except sqlite3.Error as error:
         raise FileError(f"{path}: cannot be read as a metrics file: {error}") from None
+
+
+def _opened(uri: str, label: str) -> sqlite3.Connection:
+    connection = sqlite3.connect(uri, uri=True, timeout=1.0)
+    try:
+        (application,) = connection.execute("PRAGMA application_id").fetchone()
+        _check(connection, application, label)
+    except (sqlite3.Error, FileError):
+        connection.close()
+        raise
     return connection
 
 
@@ -91,6 +135,7 @@ def _check(connection: sqlite3.Connection, application: int, path: str = "") -> 
     label = path or str(connection.execute("PRAGMA database_list").fetchone()[2])
     if application != APPLICATION_ID:
         raise FileError(f"{label}: a database, but not a metrics file of heliograph")
-    (version,) = connection.execute("SELECT version FROM meta").fetchone()
-    if version != VERSION:
-        raise FileError(f"{label}: metrics of version {version}, this program reads version {VERSION}")
+    found = connection.execute("SELECT version FROM meta").fetchone()
+    if found is None or found[0] != VERSION:
+        version = "no version" if found is None else f"version {found[0]}"
+        raise FileError(f"{label}: metrics of {version}, this program has version {VERSION}: move the file away")

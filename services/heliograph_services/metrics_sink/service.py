@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Final
 
 from heliograph.core import Context
 from heliograph.errors import Refusals
-from heliograph.messages import Health, Message
+from heliograph.messages import Health, Message, Metrics
 from heliograph.units import US_PER_S
 from heliograph_services.metrics_sink.config import MetricsSinkConfig
 from heliograph_services.metrics_sink.core import MetricsCore
+from heliograph_services.metrics_sink.exposition import Exposition
+from heliograph_services.metrics_sink.scrape import Scrape
 from heliograph_services.metrics_sink.store import SqliteStore
+from heliograph_services.metrics_sink.tiers import Keep
+
+# How often the page for Prometheus is made: scrapers come every 5 to 60 s.
+PAGE_S: Final = 1.0
 
 
 class MetricsSink:
@@ -22,13 +29,18 @@ class MetricsSink:
 
     Raises:
         FileError: the file exists and is no metrics file of this version.
+        ConfigError: the port for Prometheus is taken.
     """
 
     def __init__(
         self, config: MetricsSinkConfig, context: Context, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._core = MetricsCore(config, context)
-        self._store = SqliteStore(config.file, context.boot, clock) if config.file else None
+        keep = Keep(config.keep_seconds_h, config.keep_days)
+        self._store = SqliteStore(config.file, context.boot, clock, keep=keep) if config.file else None
+        self._scrape = Scrape(config.prometheus_port) if config.prometheus_port else None
+        self._exposition = Exposition()
+        self._page_s = clock()
         self._clock = clock
         self._quiet_s = config.settle_us / US_PER_S
         self._is_lockstep = context.lockstep
@@ -45,8 +57,9 @@ class MetricsSink:
             self._heard_s = self._clock()
         elif not self._is_lockstep and self._clock() - self._heard_s > self._quiet_s:
             results += self._core.idle()
-        self._keep()
-        return results
+        if isinstance(message, Health):
+            self._exposition.hear(message, self._clock())
+        return self._kept(results)
 
     def ready(self, message: Message) -> bool:
         """Return True: the sink waits for nobody."""
@@ -54,16 +67,27 @@ class MetricsSink:
 
     def tick(self, now_us: int) -> list[Message]:
         """Finish what silence has made old."""
-        results = self._core.tick(now_us)
-        self._keep()
-        return results
+        return self._kept(self._core.tick(now_us))
 
     def close(self) -> list[Message]:
         """Finish all that waits, write it, and close the file."""
-        results = self._core.close()
-        self._keep()
+        results = self._kept(self._core.close())
         if self._store is not None:
             self._store.close()
+        if self._scrape is not None:
+            self._scrape.close()
+        return results
+
+    def _kept(self, results: list[Message]) -> list[Message]:
+        """Keep what the core has made; return its messages."""
+        if self._scrape is not None:
+            for result in results:
+                if isinstance(result, Metrics):
+                    self._exposition.add(result)
+            if self._clock() >= self._page_s:
+                self._page_s = self._clock() + PAGE_S
+                self._scrape.page = self._exposition.page(self._clock())
+        self._keep()
         return results
 
     def _keep(self) -> None:
@@ -73,10 +97,14 @@ class MetricsSink:
         store = self._store
         if store is None:
             return
+        if store.is_due and not store.is_failing:
+            # While the disk fails they would only push out rows that are final.
+            rows = rows + self._core.rows_so_far()
         store.write(rows)
         self.counters["store: rows"] = store.written
         self.counters["store: disk failures"] = store.failures
         self.counters["store: rows lost"] = store.dropped
+        self.counters["store: rows pruned"] = store.pruned
         self.gauges["store: rows waiting"] = float(store.waiting)
 
 

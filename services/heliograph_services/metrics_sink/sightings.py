@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from heliograph.messages import Identification
 from heliograph.units import US_PER_S
-from heliograph_services.metrics_sink.accuracy import Received
 from heliograph_services.metrics_sink.rows import SightingRow
+from heliograph_services.metrics_sink.scoring import Received
 
 # States come at 10 Hz. Without one for so long the decoder has died, or its `lost` never arrived.
 FORGET_US: Final = 5 * US_PER_S
@@ -84,6 +84,20 @@ class Sightings:
         rows += [self._of[track].row(camera, epoch, track) for track in sorted(self._of)]
         self._closed.clear()
         return rows
+
+    def so_far(self, waiting: list[Identification], camera: str, epoch: int) -> list[SightingRow]:
+        """Return the rows as they would be with states that still wait; their frames are not counted yet.
+
+        Args:
+            waiting: in order of time; nothing of them is kept.
+            camera: for the rows.
+            epoch: for the rows.
+        """
+        trial = Sightings()
+        trial._of = {track: replace(sighting) for track, sighting in self._of.items()}
+        for state in waiting:
+            trial._take(state)
+        return trial.take_rows(camera, epoch, -(2**62))
 
     def close(self) -> None:
         """End all of them: the stream has ended."""

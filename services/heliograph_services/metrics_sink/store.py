@@ -1,7 +1,8 @@
 """The writer of the metrics file: SQLite in WAL mode, one writer, at most one commit a second.
 
 The sink must outlive its disk. Where a commit fails (locked, full, read-only, directory gone), the rows stay in memory,
-the newest `ROWS_LIMIT` of them, one line goes to the log, a counter counts, and the next second tries again. A process
+the newest of each key and at most `ROWS_LIMIT`, one line goes to the log, a counter counts, and the next second tries
+again. A process
 that is killed loses what came after the last commit, never a committed row (WAL; `synchronous = NORMAL` leaves the last
 commits at risk in a power cut alone).
 """
@@ -11,20 +12,25 @@ from __future__ import annotations
 import logging
 import sqlite3
 import time
-from collections import deque
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Final
 
 from heliograph.errors import FileError
 from heliograph_services.metrics_sink import schema
-from heliograph_services.metrics_sink.rows import AcquisitionRow, CountRow, HealthRow, Row, SightingRow
+from heliograph_services.metrics_sink.rows import Key, Row
+from heliograph_services.metrics_sink.tables import Writer
+from heliograph_services.metrics_sink.tiers import Keep, prune, roll_up
 
 _LOG = logging.getLogger(__name__)
 
 COMMIT_S: Final = 1.0
 # At 100 rows a second: a quarter of an hour without a disk, in about 20 MB.
 ROWS_LIMIT: Final = 100_000
+# Where nothing is old, it is looked again after a minute.
+PRUNE_S: Final = 60.0
+# The write-ahead log is cut to this when it has been moved into the file: a reader can make it grow.
+LOG_LIMIT: Final = 8 * 2**20
 # The loop that feeds the sink waits for the disk no longer than this.
 BUSY_S: Final = 0.05
 
@@ -37,6 +43,8 @@ class SqliteStore:
         boot: the word of this start, kept with the run.
         clock: seconds that never fall; for tests.
         rows_limit: most rows that wait for the disk.
+        keep: how long rows are kept.
+        wall: Unix seconds; for tests.
 
     Raises:
         FileError: the file exists and is no metrics file of this version.
@@ -48,19 +56,25 @@ class SqliteStore:
         boot: str = "",
         clock: Callable[[], float] = time.monotonic,
         rows_limit: int = ROWS_LIMIT,
+        keep: Keep | None = None,
+        wall: Callable[[], float] = time.time,
     ) -> None:
+        self.pruned = 0
         self.failures = 0
         self.dropped = 0
         self.written = 0
         self._path = Path(path)
         self._boot = boot
         self._clock = clock
-        self._waiting: deque[Row] = deque(maxlen=rows_limit)
+        self._wall = wall
+        self._waiting: dict[Key, Row] = {}
+        self._rows_limit = rows_limit
         self._connection: sqlite3.Connection | None = None
         self._run: int | None = None
-        self._names: dict[str, int] = {}
-        self._streams: dict[tuple[str, int], int] = {}
-        self._started_wall_s = time.time()
+        self._writer: Writer | None = None
+        self._keep = keep or Keep()
+        self._prune_s = clock()
+        self._started_wall_s = wall()
         self._failing = False
         self._due_s = clock() + COMMIT_S
         self._attempt(starting=True)
@@ -70,16 +84,29 @@ class SqliteStore:
         """The number of rows that are not on the disk."""
         return len(self._waiting)
 
+    @property
+    def is_failing(self) -> bool:
+        """Whether the last commit failed."""
+        return self._failing
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the next `write` commits."""
+        return self._clock() >= self._due_s
+
     def write(self, rows: Iterable[Row]) -> None:
         """Take rows; commit all that wait once a second. Call it without rows, too, so that none grow old."""
-        limit = self._waiting.maxlen or 0
         for row in rows:
-            self.dropped += len(self._waiting) == limit
-            self._waiting.append(row)
+            key = row.key
+            self._waiting.pop(key, None)
+            self._waiting[key] = row
+        while len(self._waiting) > self._rows_limit:
+            del self._waiting[next(iter(self._waiting))]
+            self.dropped += 1
         now_s = self._clock()
         if now_s >= self._due_s:
             self._due_s = now_s + COMMIT_S
-            if self._waiting:
+            if self._waiting or now_s >= self._prune_s:
                 self._attempt()
 
     def close(self) -> None:
@@ -97,6 +124,7 @@ class SqliteStore:
         try:
             connection = self._connected()
             self._commit(connection)
+            self._prune(connection)
         except (sqlite3.Error, OSError, FileError) as error:
             if starting and isinstance(error, FileError):
                 raise
@@ -120,6 +148,7 @@ class SqliteStore:
         try:
             connection.execute("PRAGMA journal_mode = WAL")
             connection.execute("PRAGMA synchronous = NORMAL")
+            connection.execute(f"PRAGMA journal_size_limit = {LOG_LIMIT}")
             schema.create(connection)
         except sqlite3.DatabaseError as error:
             connection.close()
@@ -136,17 +165,16 @@ class SqliteStore:
     def _disconnect(self) -> None:
         if self._connection is not None:
             self._connection.close()
-        self._connection, self._run = None, None
-        self._names.clear()
-        self._streams.clear()
+        self._connection, self._run, self._writer = None, None, None
 
     def _commit(self, connection: sqlite3.Connection) -> None:
-        now_s = time.time()
+        now_s = self._wall()
         connection.execute("BEGIN IMMEDIATE")
         try:
-            if self._run is None:
+            if self._writer is None:
                 self._run = self._run_id(connection, now_s)
-            self._insert(connection, list(self._waiting))
+                self._writer = Writer(connection, self._run)
+            roll_up(connection, self._writer.insert(self._waiting.values(), now_s))
             connection.execute("UPDATE run SET written_wall_s = ? WHERE id = ?", (now_s, self._run))
             connection.execute("COMMIT")
         except sqlite3.Error:
@@ -155,6 +183,22 @@ class SqliteStore:
             raise
         self.written += len(self._waiting)
         self._waiting.clear()
+
+    def _prune(self, connection: sqlite3.Connection) -> None:
+        """Let go of some of what is old; in a transaction of its own, after what is new is safe."""
+        if self._clock() < self._prune_s:
+            return
+        connection.execute("BEGIN IMMEDIATE")
+        try:
+            pruned = prune(connection, self._keep, self._wall())
+            connection.execute("COMMIT")
+        except sqlite3.Error:
+            if connection.in_transaction:
+                connection.execute("ROLLBACK")
+            raise
+        self.pruned += pruned
+        if not pruned:
+            self._prune_s = self._clock() + PRUNE_S
 
     def _run_id(self, connection: sqlite3.Connection, now_s: float) -> int:
         # After a reconnect the run goes on: same boot word, and ours is the last row.
@@ -168,60 +212,3 @@ class SqliteStore:
             (self._boot, self._started_wall_s, now_s),
         )
         return int(cursor.lastrowid or 0)
-
-    def _insert(self, connection: sqlite3.Connection, rows: list[Row]) -> None:
-        counts, sightings, acquisitions, health = [], [], [], []
-        for row in rows:
-            if isinstance(row, CountRow):
-                stream = self._stream_id(connection, row.camera, row.epoch)
-                counts.append((stream, row.t0_us // 1_000_000, self._name_id(connection, row.name), row.n))
-            elif isinstance(row, SightingRow):
-                sightings.append(_sighting(self._stream_id(connection, row.camera, row.epoch), row))
-            elif isinstance(row, AcquisitionRow):
-                stream = self._stream_id(connection, row.camera, row.epoch)
-                acquisitions.append((stream, row.beacon, row.began_us, row.lasted_us, row.occluded_us, row.acquired_us))
-            else:
-                health.append(_health(self._run or 0, row))
-        connection.executemany("INSERT OR REPLACE INTO count VALUES (?,?,?,?)", counts)
-        connection.executemany("INSERT OR REPLACE INTO sighting VALUES (?,?,?,?,?,?,?,?,?,?,?,?)", sightings)
-        connection.executemany("INSERT OR REPLACE INTO acquisition VALUES (?,?,?,?,?,?)", acquisitions)
-        connection.executemany("INSERT OR REPLACE INTO health VALUES (?,?,?,?,?,?)", health)
-
-    def _stream_id(self, connection: sqlite3.Connection, camera: str, epoch: int) -> int:
-        if (camera, epoch) not in self._streams:
-            connection.execute(
-                "INSERT OR IGNORE INTO stream (run, camera, epoch) VALUES (?, ?, ?)", (self._run, camera, epoch)
-            )
-            (found,) = connection.execute(
-                "SELECT id FROM stream WHERE run = ? AND camera = ? AND epoch = ?", (self._run, camera, epoch)
-            ).fetchone()
-            self._streams[camera, epoch] = int(found)
-        return self._streams[camera, epoch]
-
-    def _name_id(self, connection: sqlite3.Connection, text: str) -> int:
-        if text not in self._names:
-            connection.execute("INSERT OR IGNORE INTO name (text) VALUES (?)", (text,))
-            (found,) = connection.execute("SELECT id FROM name WHERE text = ?", (text,)).fetchone()
-            self._names[text] = int(found)
-        return self._names[text]
-
-
-def _sighting(stream: int, row: SightingRow) -> tuple[int | float | str, ...]:
-    return (
-        stream,
-        row.track,
-        row.beacon,
-        row.protocol,
-        row.first_us,
-        row.last_us,
-        row.first_x_px,
-        row.first_y_px,
-        row.last_x_px,
-        row.last_y_px,
-        row.frames,
-        int(row.ended),
-    )
-
-
-def _health(run: int, row: HealthRow) -> tuple[int | float | str, ...]:
-    return run, row.service, row.instance, row.pid, row.name, row.value

@@ -1,29 +1,39 @@
 """Reading the metrics file: counts added over a run, then divided, always with n and an interval.
 
-MAR_sent = right / sent, MAR_received = right / (right + wrong + insertions), BAR = right bits / bits sent,
-FER = 1 - MAR_sent(visible), BER = wrong bits / bits of matched frames, CER = (wrong + missing + insertions) /
-characters sent, and goodput = data bits of right frames / visible time that counts. The interval is a bootstrap over
-blocks of one beacon and one second, since errors come in bursts; where all blocks agree, so that it has no width, the
-bound says what k blocks without the opposite can exclude: 1 - 0.05^(1/k).
+The ratios are those of `heliograph.accuracy`, over the blocks of `tallies`; more than `BLOCKS_LIMIT` blocks are merged,
+neighbours in time first, so that the interval errs to the wide side.
 """
 
 from __future__ import annotations
 
 import sqlite3
-from collections import defaultdict
 from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 import numpy as np
 
+from heliograph.accuracy import (
+    bit_errors,
+    bits_right,
+    character_errors,
+    frame_errors,
+    goodput_bit_s,
+    mar_received,
+    mar_sent,
+)
+from heliograph.errors import FileError
+from heliograph.shares import Share, merged, most_events, upper_bound
 from heliograph_services.metrics_sink.schema import open_read
+from heliograph_services.metrics_sink.tallies import Counts, Span, Tallies, process_numbers, process_series, span_of
 
-RESAMPLES: Final = 1000
-# More blocks than this are merged, neighbours in time first: the interval then errs to the wide side.
 BLOCKS_LIMIT: Final = 1024
-SEED: Final = 1
 HOUR_US: Final = 3_600_000_000
+# The kinds of counters whose blocks the ratios need.
+_BLOCKED: Final = (
+    *(f"{what}_{group}" for what in ("sent", "right", "wrong") for group in ("visible", "in_view", "close", "text")),
+    *("right", "wrong", "insertions", "bits_visible", "bits_right", "bits_matched", "payload_bits", "visible_us"),
+)
 
 
 class Ratio(msgspec.Struct, frozen=True):
@@ -53,7 +63,11 @@ class Acquisition(msgspec.Struct, frozen=True):
 
 
 class Accuracy(msgspec.Struct, frozen=True):
-    """Accuracy against the truth; see the module and docs/metrics.md. `goodput_bit_s` is a mean over the beacons."""
+    """Accuracy against the truth; see docs/metrics.md.
+
+    `goodput_bit_s` is a mean over the beacons; `cer` is by protocol, its `right` the errors. `..._at_most`: the upper
+    95 % bound (false alarms: Poisson; confusions: Clopper and Pearson, an identification judged).
+    """
 
     mar_visible: Ratio
     mar_in_view: Ratio
@@ -64,14 +78,36 @@ class Accuracy(msgspec.Struct, frozen=True):
     fer: Ratio
     ber: Ratio
     goodput_bit_s: float | None
-    cer: dict[str, float]
+    cer: dict[str, Ratio]
     judged: int
     false_alarms: int
     confusions: int
     false_alarms_per_camera_hour: float | None
+    false_alarms_per_camera_hour_at_most: float | None
     false_alarms_per_track_hour: float | None
+    false_alarms_per_track_hour_at_most: float | None
+    confusions_at_most: float | None
     first: Acquisition
     again: Acquisition
+
+
+class Hop(msgspec.Struct, frozen=True):
+    """How long n messages took over a hop of a process: the mean of its seconds' p50, their greatest p95 and p99."""
+
+    process: str
+    hop: str
+    n: int
+    p50_ms: float
+    p95_ms: float
+    p99_ms: float
+
+
+class Load(msgspec.Struct, frozen=True):
+    """A process: the most that waited in its queues in a second, and its greatest share of a core."""
+
+    process: str
+    queue_most: int
+    cpu_share_most: float
 
 
 class Sighting(msgspec.Struct, frozen=True):
@@ -88,12 +124,17 @@ class Sighting(msgspec.Struct, frozen=True):
 
 
 class Summary(msgspec.Struct, frozen=True):
-    """What one run of the sink has seen. `accuracy` is None where no truth was there; then `mar_estimated` is all."""
+    """What one run of the sink has seen. `accuracy` is None where no truth was there; then `mar_estimated` is all.
+
+    `block_s` is the length of the blocks of the intervals; `rates` are messages published a second of a process's life,
+    by process and topic.
+    """
 
     file: str
     run: int
     boot: str
     seconds: int
+    block_s: int
     cameras: list[str]
     frames: int
     characters: int
@@ -102,76 +143,30 @@ class Summary(msgspec.Struct, frozen=True):
     late: int
     missing: dict[str, int]
     dropped: dict[str, int]
+    rates: dict[str, float]
+    hops: list[Hop]
+    loads: list[Load]
     mar_estimated: float | None
     accuracy: Accuracy | None
     sightings: list[Sighting]
 
 
-class _Counts:
-    """The counts of a run, by kind (the word before the slash)."""
-
-    def __init__(self, rows: list[tuple[int, int, str, int]]) -> None:
-        self.total: dict[str, int] = defaultdict(int)
-        self.by_kind: dict[str, dict[str, int]] = defaultdict(lambda: defaultdict(int))
-        self._blocks: dict[str, dict[tuple[str, int, int], int]] = defaultdict(dict)
-        for stream, second, name, n in rows:
-            kind, _, what = name.partition("/")
-            self.total[kind] += n
-            self.by_kind[kind][what] += n
-            self._blocks[kind][what, stream, second] = n
-
-    def ratio(self, right: str, sent: str) -> Ratio:
-        """Return right / sent over blocks of the things that `sent` counts."""
-        keys = sorted(self._blocks[sent])
-        return ratio_of(
-            np.array([self._blocks[right].get(key, 0) for key in keys], np.int64),
-            np.array([self._blocks[sent][key] for key in keys], np.int64),
-        )
-
-    def received(self) -> Ratio:
-        """Return right / published, over seconds."""
-        kinds = ("right", "wrong", "insertions")
-        keys = sorted({key for kind in kinds for key in self._blocks[kind]})
-        columns = [np.array([self._blocks[kind].get(key, 0) for key in keys], np.int64) for kind in kinds]
-        return ratio_of(columns[0], columns[0] + columns[1] + columns[2])
-
-
-def ratio_of(right: np.ndarray[Any, np.dtype[np.int64]], sent: np.ndarray[Any, np.dtype[np.int64]]) -> Ratio:
-    """Return a ratio of sums with its interval.
+def summarise(path: str | Path, run: int | None = None, last_s: float | None = None) -> Summary:
+    """Return what a run has seen; by default the newest, and all of it.
 
     Args:
-        right: (k,) int64, the right ones of each block.
-        sent: (k,) int64, all of each block.
-    """
-    total, n = int(right.sum()), int(sent.sum())
-    if n == 0:
-        return Ratio(total, n, None, None, None)
-    blocks = len(sent)
-    if blocks > BLOCKS_LIMIT:
-        starts = np.unique(np.linspace(0, blocks, BLOCKS_LIMIT, endpoint=False).astype(np.int64))
-        right, sent = np.add.reduceat(right, starts), np.add.reduceat(sent, starts)
-        blocks = len(sent)
-    generator = np.random.Generator(np.random.Philox(SEED))
-    picks = generator.multinomial(blocks, np.full(blocks, 1.0 / blocks), size=RESAMPLES)
-    draws, sizes = picks @ right, picks @ sent
-    ratios = draws[sizes > 0] / sizes[sizes > 0]
-    low, high = (float(q) for q in np.quantile(ratios, [0.025, 0.975]))
-    value = total / n
-    slack = 1.0 - 0.05 ** (1.0 / blocks)
-    low = min(low, 1.0 - slack) if total == n else low
-    high = max(high, slack) if total == 0 else high
-    return Ratio(total, n, value, low, high)
-
-
-def summarise(path: str | Path, run: int | None = None) -> Summary:
-    """Return what a run has seen; by default the newest.
+        path: the file.
+        run: which start of the sink.
+        last_s: only the last seconds by the host's clock, to a whole minute.
 
     Raises:
-        FileError: the file is missing, or no metrics file of this version.
+        FileError: the file is missing, damaged, or no metrics file of this version; there is no such run.
     """
     connection = open_read(Path(path))
     try:
-        return _summarise(connection, str(path), run)
+        return _summarise(connection, str(path), span_of(connection, run, last_s))
+    except sqlite3.Error as error:
+        raise FileError(f"{path}: cannot be read as a metrics file: {error}") from None
     finally:
         connection.close()
 
@@ -186,96 +181,125 @@ def summary(path: str | Path) -> dict[str, Any]:
     return plain
 
 
-def _summarise(connection: sqlite3.Connection, path: str, run: int | None) -> Summary:
-    newest = connection.execute(
-        "SELECT id, boot FROM run WHERE id = ifnull(?, (SELECT max(id) FROM run))", (run,)
-    ).fetchone()
-    run_id, boot = newest if newest is not None else (0, "")
-    rows = connection.execute(
-        "SELECT c.stream, c.second, n.text, c.n FROM count c JOIN name n ON n.id = c.name"
-        " JOIN stream s ON s.id = c.stream WHERE s.run = ?",
-        (run_id,),
-    ).fetchall()
-    counts = _Counts(rows)
+def _summarise(connection: sqlite3.Connection, path: str, span: Span) -> Summary:
+    counts = Tallies(connection, span, _BLOCKED)
     estimates = counts.total["mar_estimates"]
     has_truth = any(counts.total[kind] for kind in ("sent_visible", "sent_in_view", "right", "wrong", "judged"))
+    cameras = connection.execute("SELECT DISTINCT camera FROM stream WHERE run = ? ORDER BY 1", (span.run,))
     return Summary(
         file=path,
-        run=run_id,
-        boot=boot,
-        seconds=len({(stream, second) for stream, second, _, _ in rows}),
-        cameras=[
-            name
-            for (name,) in connection.execute("SELECT DISTINCT camera FROM stream WHERE run = ? ORDER BY 1", (run_id,))
-        ],
+        run=span.run,
+        boot=span.boot,
+        seconds=counts.total["seconds"],
+        block_s=span.block_s,
+        cameras=[name for (name,) in cameras],
         frames=counts.total["frames"],
         characters=counts.total["characters"],
         refused=dict(sorted(counts.by_kind["refused"].items())),
         identified=dict(sorted(counts.by_kind["identified"].items())),
         late=counts.total["late"] + counts.total["late_frames"],
-        missing=_health(connection, run_id, "missing: "),
-        dropped=_health(connection, run_id, "dropped: "),
+        missing=process_numbers(connection, span, "missing: "),
+        dropped=process_numbers(connection, span, "dropped: "),
+        rates=_rates(connection, span),
+        hops=_hops(connection, span),
+        loads=_loads(connection, span),
         mar_estimated=counts.total["mar_estimate_ppm"] / estimates / 1e6 if estimates else None,
-        accuracy=_accuracy(connection, run_id, counts) if has_truth else None,
-        sightings=_sightings(connection, run_id),
+        accuracy=_accuracy(connection, span, counts) if has_truth else None,
+        sightings=_sightings(connection, span),
     )
 
 
-def _accuracy(connection: sqlite3.Connection, run_id: int, counts: _Counts) -> Accuracy:
-    bits = counts.total["bits_visible"]
-    alarms = counts.total["false_alarms"]
-    visible_us = counts.total["visible_us"]
-    mar_visible = counts.ratio("right_visible", "sent_visible")
+def _accuracy(connection: sqlite3.Connection, span: Span, counts: Tallies) -> Accuracy:
+    total = counts.total
+    bits, alarms = total["bits_visible"], total["false_alarms"]
+    visible = _blocks(counts.columns("sent_visible", "right_visible", "sent_visible"))
+    in_view = _blocks(counts.columns("sent_in_view", "right_in_view", "sent_in_view"))
+    close = _blocks(counts.columns("sent_close", "right_close", "sent_close"))
+    sent_bits = _blocks(counts.columns("bits_visible", "bits_right", "bits_visible"))
+    matched = _blocks(counts.columns("bits_matched", "bits_right", "bits_matched"))
+    payload = _blocks(counts.columns("visible_us", "payload_bits", "visible_us"))
+    received = _blocks(counts.all_columns("right", "wrong", "insertions"))
+    goodput = goodput_bit_s(payload[0], payload[1])
     return Accuracy(
-        mar_visible=mar_visible,
-        mar_in_view=counts.ratio("right_in_view", "sent_in_view"),
-        mar_received=counts.received(),
-        mar_close=counts.ratio("right_close", "sent_close"),
-        bar=counts.ratio("bits_right", "bits_visible"),
-        bar_by_chance=counts.total["bits_chance_milli"] / 1000 / bits if bits else None,
-        fer=_rest(mar_visible),
-        ber=_rest(counts.ratio("bits_right", "bits_matched")),
-        goodput_bit_s=counts.total["payload_bits"] * 1e6 / visible_us if visible_us else None,
-        cer=_character_errors(counts),
-        judged=counts.total["judged"],
+        mar_visible=_ratio(mar_sent(*visible), visible[0]),
+        mar_in_view=_ratio(mar_sent(*in_view), in_view[0]),
+        mar_received=_ratio(mar_received(*received), received[0]),
+        mar_close=_ratio(mar_sent(*close), close[0]),
+        bar=_ratio(bits_right(*sent_bits), sent_bits[0]),
+        bar_by_chance=total["bits_chance_milli"] / 1000 / bits if bits else None,
+        fer=_ratio(frame_errors(*visible), visible[1] - visible[0]),
+        ber=_ratio(bit_errors(*matched), matched[1] - matched[0]),
+        goodput_bit_s=goodput.value if goodput.n else None,
+        cer={name: _character_errors(counts, name) for name, n in sorted(counts.by_kind["sent_text"].items()) if n},
+        judged=total["judged"],
         false_alarms=alarms,
-        confusions=counts.total["confusions"],
-        false_alarms_per_camera_hour=_per_hour(alarms, counts.total["observed_us"]),
-        false_alarms_per_track_hour=_per_hour(alarms, counts.total["track_us"]),
-        first=_acquisition(connection, run_id, None),
+        confusions=total["confusions"],
+        false_alarms_per_camera_hour=_per_hour(alarms, total["observed_us"]),
+        false_alarms_per_camera_hour_at_most=_per_hour(most_events(alarms), total["observed_us"]),
+        false_alarms_per_track_hour=_per_hour(alarms, total["track_us"]),
+        false_alarms_per_track_hour_at_most=_per_hour(most_events(alarms), total["track_us"]),
+        confusions_at_most=upper_bound(total["confusions"], total["judged"]) if total["judged"] else None,
+        first=_acquisition(connection, span, None),
         # Half a second without sight, as docs/metrics.md has it; shorter breaks are part of ordinary reading.
-        again=_acquisition(connection, run_id, 500_000),
+        again=_acquisition(connection, span, 500_000),
     )
 
 
-def _rest(of: Ratio) -> Ratio:
-    """Return the share of all others: its `right` are the wrong ones."""
-    if of.value is None or of.low is None or of.high is None:
-        return of
-    return Ratio(of.n - of.right, of.n, 1.0 - of.value, 1.0 - of.high, 1.0 - of.low)
+def _blocks(columns: Counts) -> Counts:
+    return merged(columns, BLOCKS_LIMIT)
 
 
-def _per_hour(n: int, exposure_us: int) -> float | None:
+def _ratio(found: Share, part: Counts) -> Ratio:
+    """Return a share as it is shown; its numerator is the sum of `part`."""
+    if not found.n:
+        return Ratio(int(part.sum()), 0, None, None, None)
+    return Ratio(int(part.sum()), found.n, found.value, found.low, found.high)
+
+
+def _character_errors(counts: Tallies, protocol: str) -> Ratio:
+    """Return CER of a text protocol: characters are matched by slot, so wrong = S, missing = D, insertions = I."""
+    right, inserted, sent = _blocks(counts.all_columns("right_text", "insertions", "sent_text", what=protocol))
+    return _ratio(character_errors(right, inserted, sent), sent - right + inserted)
+
+
+def _per_hour(n: float, exposure_us: int) -> float | None:
     return n * HOUR_US / exposure_us if exposure_us else None
 
 
-def _character_errors(counts: _Counts) -> dict[str, float]:
-    """Return CER of each text protocol: characters are matched by slot, so wrong = S, missing = D, insertions = I."""
-    found = {}
-    for protocol, sent in sorted(counts.by_kind["sent_text"].items()):
-        if sent:
-            missing = sent - counts.by_kind["right_text"][protocol] - counts.by_kind["wrong_text"][protocol]
-            errors = counts.by_kind["wrong_text"][protocol] + missing + counts.by_kind["insertions"][protocol]
-            found[protocol] = errors / sent
-    return found
+def _rates(connection: sqlite3.Connection, span: Span) -> dict[str, float]:
+    """Return messages published a second, by "process topic"; the time is that of the process's reports."""
+    prefix = "published: "
+    reports = process_series(connection, span, "level", "count(*)")
+    length_s = 1 if span.block_s == 1 else 60
+    seconds = {process: n * length_s for process, name, n in reports if name == "cpu_share"}
+    rows = process_series(connection, span, "rate", "sum(t.n)")
+    return {
+        f"{process} {name.removeprefix(prefix)}": round(n / seconds[process], 3)
+        for process, name, n in rows
+        if name.startswith(prefix) and process in seconds
+    }
 
 
-def _acquisition(connection: sqlite3.Connection, run_id: int, occluded_us: int | None) -> Acquisition:
+def _hops(connection: sqlite3.Connection, span: Span) -> list[Hop]:
+    figures = "sum(t.n), sum(t.n * t.p50_us) * 1.0 / max(sum(t.n), 1), max(t.p95_us), max(t.p99_us)"
+    rows = process_series(connection, span, "hop", figures)
+    return [Hop(p, hop, n, *(round(us / 1000, 3) for us in (p50, p95, p99))) for p, hop, n, p50, p95, p99 in rows]
+
+
+def _loads(connection: sqlite3.Connection, span: Span) -> list[Load]:
+    most: dict[str, dict[str, float]] = {}
+    for process, name, value in process_series(connection, span, "level", "max(t.value)"):
+        most.setdefault(process, {})[name] = value
+    return [Load(p, int(of.get("queue", 0)), round(of.get("cpu_share", 0.0), 4)) for p, of in sorted(most.items())]
+
+
+def _acquisition(connection: sqlite3.Connection, span: Span, occluded_us: int | None) -> Acquisition:
     """Return the times of first appearances (None) or of those after at least so long out of sight."""
     rows = connection.execute(
         "SELECT a.acquired_us FROM acquisition a JOIN stream s ON s.id = a.stream WHERE s.run = ?1"
-        " AND a.lasted_us >= 1000000 AND iif(?2 IS NULL, a.occluded_us IS NULL, a.occluded_us >= ?2)",
-        (run_id, occluded_us),
+        " AND a.wall_s >= ?3 AND a.lasted_us >= 1000000"
+        " AND iif(?2 IS NULL, a.occluded_us IS NULL, a.occluded_us >= ?2)",
+        (span.run, occluded_us, max(span.since_wall_s, -1e12)),
     ).fetchall()
     times = np.sort(np.array([np.inf if acquired is None else acquired for (acquired,) in rows], np.float64))
     if not len(times):
@@ -290,20 +314,12 @@ def _order_ms(times: np.ndarray[Any, np.dtype[np.float64]], share: float) -> flo
     return float(at) / 1000 if np.isfinite(at) else None
 
 
-def _health(connection: sqlite3.Connection, run_id: int, prefix: str) -> dict[str, int]:
-    """Return the counters of all processes whose names begin so, added by what follows."""
-    rows = connection.execute(
-        "SELECT substr(name, ?), sum(value) FROM health WHERE run = ? AND substr(name, 1, ?) = ? GROUP BY 1 ORDER BY 1",
-        (len(prefix) + 1, run_id, len(prefix), prefix),
-    )
-    return {name: int(value) for name, value in rows if value}
-
-
-def _sightings(connection: sqlite3.Connection, run_id: int) -> list[Sighting]:
+def _sightings(connection: sqlite3.Connection, span: Span) -> list[Sighting]:
     rows = connection.execute(
         "SELECT s.camera, g.track, g.beacon, g.protocol, g.first_us, g.last_us, g.frames, g.ended FROM sighting g"
-        " JOIN stream s ON s.id = g.stream WHERE s.run = ? ORDER BY s.camera, s.epoch, g.first_us, g.track",
-        (run_id,),
+        " JOIN stream s ON s.id = g.stream WHERE s.run = ? AND g.wall_s >= ?"
+        " ORDER BY s.camera, s.epoch, g.first_us, g.track",
+        (span.run, max(span.since_wall_s, -1e12)),
     )
     return [
         Sighting(camera, track, beacon, protocol, first_us, last_us, frames, bool(ended))

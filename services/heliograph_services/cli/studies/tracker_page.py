@@ -13,8 +13,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from heliograph.shares import difference, lower_bound, share
 from heliograph_services.cli.studies import tracker_tables
-from heliograph_services.cli.studies.blocks import difference, lower_bound, share
 from heliograph_services.cli.studies.tracker_tables import clear_of, columns, firsts_ms, grouped, occluded
 
 Row = dict[str, Any]

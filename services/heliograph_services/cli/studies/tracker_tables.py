@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from heliograph_services.cli.studies.blocks import difference, lower_bound, share
+from heliograph.shares import difference, lower_bound, share
 from heliograph_services.cli.studies.tracking import Clear, Identity
 from heliograph_services.cli.studies.tracking_truth import quantile
 

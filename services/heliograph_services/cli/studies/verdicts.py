@@ -19,17 +19,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from heliograph.accuracy import CLOSE_DIAMETERS, GATE_PX, GRACE_FRAMES, GRACE_US, HALF_LIMIT_US
 from heliograph.messages import Frames, Tracks
 from heliograph.truth import Truth
 from heliograph_services.cli.studies.paths import Flags, Floats, Longs, TruePaths
 from heliograph_services.event_source.simulation.contract import NODE_US
-
-GATE_PX: Final = 5.0
-GRACE_US: Final = 500_000
-GRACE_FRAMES: Final = 5
-CLOSE_DIAMETERS: Final = 2.0
-# Half a frame is never more than that (metrics_sink.accuracy).
-HALF_LIMIT_US: Final = 1_000_000
 
 MISSING: Final = 0
 RIGHT: Final = 1

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from math import hypot
 from typing import Final
 
+from heliograph.accuracy import CLOSE_DIAMETERS, GATE_PX, GRACE_FRAMES, GRACE_US, HALF_LIMIT_US
 from heliograph.link.modulations import TEXT
 from heliograph.messages import Identification
 from heliograph.site import Beacon
@@ -29,14 +30,6 @@ from heliograph.units import US_PER_S
 from heliograph_services.metrics_sink.presence import Presence, Presences
 from heliograph_services.metrics_sink.slots import Slots
 
-GATE_PX: Final = 5.0
-GRACE_US: Final = 500_000
-GRACE_FRAMES: Final = 5
-# Half a frame is never more than a second: the longest frames (11 bits at 10 bit/s) stay below, and a damaged
-# frame_t0_us cannot widen the gate.
-HALF_LIMIT_US: Final = US_PER_S
-# Two beacons are a close pair within this many blob diameters.
-CLOSE_DIAMETERS: Final = 2.0
 # Truth is looked up for identifications and insertions of the two seconds before the one being matched.
 LOOKBACK_US: Final = 4 * US_PER_S
 
