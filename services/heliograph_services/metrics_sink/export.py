@@ -73,7 +73,7 @@ TABLES: Final[dict[str, Table]] = {
     "rates": _series("rate", "second", ("n",)),
     "rates-minute": _series("rate_minute", "minute", ("n",)),
     "levels": _series("level", "second", ("value",)),
-    "levels-minute": _series("level_minute", "minute", ("value",)),
+    "levels-minute": _series("level_minute", "minute", ("value", "n")),
     "health": Table(
         ("run", "service", "instance", "pid", "name", "value"),
         f"SELECT {_PROCESS}, n.text, t.value FROM health t {_OF_PROCESS} {_NAMED}",  # noqa: S608

@@ -13,7 +13,7 @@
     process     a process within a run, and the wall-clock time of its start
     health      (process, name) -> newest value of each counter and gauge
     rate        (process, second, name) -> n, by how much a counter rose; rate_minute: added
-    level       (process, second, name) -> value of a gauge; level_minute: the greatest
+    level       (process, second, name) -> value of a gauge, n = 1; level_minute: the greatest, n seconds
     hop         (process, second, name) -> n, p50_us, p95_us, p99_us; hop_minute: n added, the mean p50, and the
                 greatest p95 and p99 of its seconds
 
@@ -41,7 +41,7 @@ _SERIES: Final = (
         (f"{table}{tier}", "process", time, columns)
         for table, columns in (
             ("rate", "n INTEGER NOT NULL"),
-            ("level", "value REAL NOT NULL"),
+            ("level", "value REAL NOT NULL, n INTEGER NOT NULL"),
             ("hop", "n INTEGER NOT NULL, p50_us INTEGER NOT NULL, p95_us INTEGER NOT NULL, p99_us INTEGER NOT NULL"),
         )
         for tier, time in (("", "second"), ("_minute", "minute"))

@@ -267,11 +267,10 @@ def _per_hour(n: float, exposure_us: int) -> float | None:
 
 
 def _rates(connection: sqlite3.Connection, span: Span) -> dict[str, float]:
-    """Return messages published a second, by "process topic"; the time is that of the process's reports."""
+    """Return messages published a second, by "process topic"; a process reports once a second."""
     prefix = "published: "
-    reports = process_series(connection, span, "level", "count(*)")
-    length_s = 1 if span.block_s == 1 else 60
-    seconds = {process: n * length_s for process, name, n in reports if name == "cpu_share"}
+    reports = process_series(connection, span, "level", "sum(t.n)")
+    seconds = {process: n for process, name, n in reports if name == "cpu_share"}
     rows = process_series(connection, span, "rate", "sum(t.n)")
     return {
         f"{process} {name.removeprefix(prefix)}": round(n / seconds[process], 3)

@@ -26,7 +26,7 @@ _COLUMNS: Final = {
     "acquisition": 7,
     "health": 3,
     "rate": 4,
-    "level": 4,
+    "level": 5,
     "hop": 7,
 }
 _INSERT: Final = {
@@ -93,7 +93,7 @@ class Writer:
         if isinstance(row, ProcessCountRow):
             return "rate", (row.second, self._name(row.name), row.n)
         if isinstance(row, LevelRow):
-            return "level", (row.second, self._name(row.name), row.value)
+            return "level", (row.second, self._name(row.name), row.value, 1)
         return "hop", (row.second, self._name(row.hop), row.n, row.p50_us, row.p95_us, row.p99_us)
 
     def _stream(self, camera: str, epoch: int) -> int:

@@ -134,7 +134,7 @@ def process_numbers(connection: sqlite3.Connection, span: Span, prefix: str) -> 
 
 
 def process_series(connection: sqlite3.Connection, span: Span, table: str, figures: str) -> list[tuple[Any, ...]]:
-    """Return (service/instance, name, figures ...) of a series of the processes, over the span.
+    """Return (service/instance, name, figures ...) of a series of the processes, over the span, from its minutes.
 
     Args:
         connection: of the file.
@@ -142,11 +142,11 @@ def process_series(connection: sqlite3.Connection, span: Span, table: str, figur
         table: `rate`, `level` or `hop`.
         figures: SQL aggregates over its columns (`hop` etc. as `t`).
     """
-    source, time, length_s = (table, "second", 1) if span.block_s == 1 else (f"{table}_minute", "minute", _MINUTE_S)
     since_s = max(span.since_wall_s, -1e12)
     return connection.execute(
-        f"SELECT p.service || '/' || p.instance, n.text, {figures} FROM {source} t JOIN process p ON p.id = t.process"  # noqa: S608
-        f" JOIN name n ON n.id = t.name WHERE p.run = ? AND p.started_wall_s + {length_s} * t.{time} >= ?"
+        f"SELECT p.service || '/' || p.instance, n.text, {figures} FROM {table}_minute t"  # noqa: S608
+        " JOIN process p ON p.id = t.process JOIN name n ON n.id = t.name"
+        f" WHERE p.run = ? AND p.started_wall_s + {_MINUTE_S} * (t.minute + 1) >= ?"
         " GROUP BY 1, 2 ORDER BY 1, 2",
         (span.run, since_s),
     ).fetchall()

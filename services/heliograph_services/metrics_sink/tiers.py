@@ -25,7 +25,7 @@ NO_CLOCK_S: Final = 1_577_836_800.0
 _MINUTE_OF: Final = {
     "count": ("stream", "sum(n)"),
     "rate": ("process", "sum(n)"),
-    "level": ("process", "max(value)"),
+    "level": ("process", "max(value), sum(n)"),
     "hop": ("process", "sum(n), sum(n * p50_us) / max(sum(n), 1), max(p95_us), max(p99_us)"),
 }
 _PROCESS_SERIES: Final = ("rate", "level", "hop")
