@@ -211,14 +211,17 @@ class Bus:
         token = self._session.liveliness().declare_token(key(self.site, "live", service, instance))
         self._held.append(token)
 
-    def subscribe(self, schemas: dict[str, type[Message]], parts: Mapping[str, tuple[str, ...]] | None = None) -> Inbox:
+    def subscribe(
+        self, schemas: dict[str, type[Message]], parts: Mapping[str, tuple[str, ...]] | None = None, queue: int = 0
+    ) -> Inbox:
         """Receive the schemas into an inbox; call once.
 
         Args:
             schemas: what to read, by schema.
             parts: schema -> first chunks after the topic (the camera); all of the site by default.
+            queue: most samples of a topic that wait, events apart; 0 for the default.
         """
-        limits = {name: _EVENTS_QUEUE_LIMIT if name == "events" else _QUEUE_LIMIT for name in schemas}
+        limits = {name: _EVENTS_QUEUE_LIMIT if name == "events" else queue or _QUEUE_LIMIT for name in schemas}
         self.inbox = Inbox(limits)
         self._expected = schemas
         for name in schemas:

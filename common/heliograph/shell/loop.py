@@ -13,7 +13,7 @@ from heliograph.messages import Message, Progress
 from heliograph.shell.bus import Bus
 from heliograph.shell.health import HealthReporter, Pulse
 from heliograph.shell.hops import Hops
-from heliograph.shell.inbox import Sample
+from heliograph.shell.inbox import Inbox, Sample
 from heliograph.shell.process import Stop
 from heliograph.wire import SCHEMAS, Header
 
@@ -62,7 +62,7 @@ class Runner:
         schemas = {**SCHEMAS, **self._service.extra_schemas}
         camera = getattr(self._launch.config, "camera", None)
         parts = {name: (camera,) for name, own in self._service.inputs.items() if own and camera}
-        inbox = self._bus.subscribe({name: schemas[name] for name in self._service.inputs}, parts)
+        inbox = self._bus.subscribe({name: schemas[name] for name in self._service.inputs}, parts, self._service.queue)
         self._bus.announce(self._launch.kind, self._launch.instance)
         _LOG.info("running", extra={"fields": {"site": self._launch.site.site, "lockstep": self._lockstep}})
         reporter = HealthReporter(self._bus, self._launch.kind, self._launch.instance, self._pulse)
@@ -75,6 +75,8 @@ class Runner:
                 if self._faults_in_row >= _FAULTS_LIMIT:
                     _LOG.error("core faulted on %d inputs in a row: giving up", self._faults_in_row)
                     return 1
+            if not self._service.paced_by:
+                self._drain(inbox)
         except LockstepBroken as error:
             _LOG.error("lockstep broken: %s", error)
             return 1
@@ -85,6 +87,13 @@ class Runner:
                 close()
         _LOG.info("stopped", extra={"fields": {"refused": by_name(self._core.refusals)}})
         return 0
+
+    def _drain(self, inbox: Inbox) -> None:
+        """Take what had arrived before the stop: of a service that nobody paces it would be lost without a word."""
+        for _ in range(inbox.depth()):
+            sample = inbox.get(0.0)
+            if sample is not None:
+                self._take(sample)
 
     def _take(self, sample: Sample) -> None:
         took_ns = time.monotonic_ns()

@@ -53,6 +53,7 @@ class Service(Generic[ConfigT]):
         urgent: whether it lies on the way from a light to its reader, and is woken in time (`wake_promptly`).
         timed: the input whose way through the process is timed (`heliograph.shell.hops`); by default the one that
             paces it.
+        queue: most messages of a topic that wait for it; 0 for the bus's own limit.
         extra_schemas: records that are not in `heliograph.wire.SCHEMAS`, as "module:attribute" of a table.
     """
 
@@ -64,6 +65,7 @@ class Service(Generic[ConfigT]):
     paced_by: str = ""
     urgent: bool = False
     timed: str = ""
+    queue: int = 0
     extra_schemas: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -17,6 +17,9 @@ def _make(config: MetricsSinkConfig, context: Context) -> Core:
     return make_core(config, context)
 
 
+# A decoder sends a thousand windows a second: 16 s of them, 20 MB, in which the disk or the processor may be elsewhere.
+QUEUE: Final = 16_384
+
 SERVICE: Final = Service(
     kind="metrics_sink",
     about="Keeps counts, refusals and, where the truth is known, accuracy of a site.",
@@ -32,6 +35,7 @@ SERVICE: Final = Service(
         "truth": False,
     },
     timed="frames",
+    queue=QUEUE,
     extra_schemas=truth.SCHEMAS,
 )
 
