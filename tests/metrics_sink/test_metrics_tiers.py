@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 import tempfile
+from functools import partial
 from pathlib import Path
 
 from hypothesis import given, settings
@@ -12,7 +13,8 @@ from hypothesis import strategies as st
 from heliograph_services.metrics_sink.rows import CountRow, HopRow, LevelRow, ProcessCountRow, Row, SightingRow
 from heliograph_services.metrics_sink.store import SqliteStore
 from heliograph_services.metrics_sink.summary import summarise
-from heliograph_services.metrics_sink.tiers import NO_CLOCK_S, Keep
+from heliograph_services.metrics_sink.tiers import NO_CLOCK_S, Keep, prune
+from support.plans import plans_of
 
 DECODER = ("decoder", "decoder", 7)
 WEEK_S = 168 * 3_600
@@ -80,7 +82,7 @@ def check(store: SqliteStore, written: list[tuple[int, int]], data: st.DataObjec
     store.close()
 
 
-def test_a_minute_of_a_process_holds_sums_means_and_the_worst(tmp_path: Path) -> None:
+def test_a_minute_and_an_hour_of_a_process_hold_sums_means_and_the_worst(tmp_path: Path) -> None:
     path = tmp_path / "m.sqlite"
     store = SqliteStore(path)
     store.write([*second_of(0, 1), *second_of(59, 3), *second_of(60, 100)])
@@ -89,6 +91,10 @@ def test_a_minute_of_a_process_holds_sums_means_and_the_worst(tmp_path: Path) ->
     assert found(path, "SELECT value FROM level_minute ORDER BY minute") == [(3.0,), (100.0,)]
     # p50 is the mean over messages: (1 * 10 + 3 * 30) / 4.
     assert found(path, "SELECT n, p50_us, p95_us, p99_us FROM hop_minute WHERE minute = 0") == [(4, 25, 60, 90)]
+    # (4 * 25 + 100 * 1000) / 104, of the hour.
+    assert found(path, "SELECT n, p50_us, p95_us, p99_us FROM hop_hour") == [(104, 962, 2000, 3000)]
+    assert found(path, "SELECT value, n FROM level_hour") == [(100.0, 3)]
+    assert found(path, "SELECT n FROM rate_hour") == [(104,)]
 
 
 def a_week(path: Path, clocks: Clocks, keep: Keep, step_s: int = 600) -> SqliteStore:
@@ -115,8 +121,9 @@ def test_seconds_go_after_their_hours_and_minutes_stay(tmp_path: Path) -> None:
     for series in ("rate", "level", "hop"):
         assert found(path, f"SELECT min(second) FROM {series}")[0][0] >= WEEK_S - 86_400 - 3_600
         assert found(path, f"SELECT count(*) FROM {series}_minute") == [(1008,)]
+        assert found(path, f"SELECT count(*) FROM {series}_hour") == [(168,)]
     whole = summarise(path)
-    assert (whole.frames, whole.seconds, whole.block_s, len(whole.sightings)) == (1008, 1008, 3600, 1008)
+    assert (whole.frames, whole.seconds, whole.block_s, len(whole.sightings)) == (1008, 1008, 60, 1008)
     assert summarise(path, last_s=3_599.0).frames == 6
 
 
@@ -131,7 +138,7 @@ def test_everything_goes_after_its_days_and_runs_that_are_empty(tmp_path: Path) 
         store.write(second_of(0))
     store.close()
     assert found(path, "SELECT id FROM run") == [(2,)]
-    for table in ("count", "count_minute", "count_hour", "span", "rate", "hop_minute", "process", "stream"):
+    for table in ("count", "count_minute", "count_hour", "span", "rate", "hop_minute", "hop_hour", "process", "stream"):
         rows = found(path, f"SELECT count(*) FROM {table}")
         assert 1 <= rows[0][0] <= 2, table
     assert found(path, "SELECT count(*) FROM sighting") == [(0,)]
@@ -171,3 +178,40 @@ def test_a_row_takes_the_bytes_that_the_page_says(tmp_path: Path) -> None:
     with sqlite3.connect(path) as connection:
         connection.execute("VACUUM")
     assert 10 <= path.stat().st_size / 160_000 <= 18
+
+
+def test_show_of_any_length_goes_by_keys_and_never_through_all_rows(tmp_path: Path) -> None:
+    clocks, path = Clocks(), tmp_path / "m.sqlite"
+    a_week(path, clocks, Keep()).close()
+    lengths = (None, 7 * 86_400.0, 86_400.0, 7_200.0, 60.0)
+    lines = {line for last_s in lengths for line in plans_of(path, partial(summarise, path, last_s=last_s))}
+    # `s` is what has been added up already; names are some hundreds.
+    assert {line for line in lines if line.startswith("SCAN")} <= {"SCAN name", "SCAN s"}
+    assert any(line.startswith("SEARCH t USING PRIMARY KEY (process=? AND hour>?") for line in lines)
+    assert any(line.startswith("SEARCH t USING PRIMARY KEY (process=? AND minute>?") for line in lines)
+
+
+def test_what_is_old_is_found_by_its_age(tmp_path: Path) -> None:
+    """Retention looks once a minute for what is too old: by an index, or it would read 90 days each time."""
+    path = tmp_path / "m.sqlite"
+    SqliteStore(path).close()
+    statements: list[str] = []
+    with sqlite3.connect(path) as connection:
+        connection.set_trace_callback(statements.append)
+        prune(connection, Keep(1.0, 1.0), NOW_S)
+        connection.set_trace_callback(None)
+        lines = {line for each in statements for *_, line in connection.execute(f"EXPLAIN QUERY PLAN {each}")}
+    assert {line for line in lines if line.startswith("SCAN")} <= {"SCAN process", "SCAN run"}
+    for table in ("span", "sighting", "acquisition"):
+        assert any(line.startswith(f"SEARCH {table} ") and f"{table}_age (wall_s<?)" in line for line in lines)
+
+
+def test_the_blocks_are_seconds_then_minutes_then_hours(tmp_path: Path) -> None:
+    """While there are not too many numbers: with 20 counters 66 minutes of seconds, 66 hours of minutes."""
+    for hours, block_s in ((1, 1), (2, 60), (66, 60), (68, 3_600)):
+        path = tmp_path / f"{hours}.sqlite"
+        store = SqliteStore(path)
+        for second in (0, 3_600 * hours - 1):
+            store.write([CountRow("cam0", 0, 1_000_000 * second, f"counter {i}", 1) for i in range(20)])
+        store.close()
+        assert summarise(path).block_s == block_s

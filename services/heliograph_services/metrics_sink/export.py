@@ -70,10 +70,13 @@ TABLES: Final[dict[str, Table]] = {
     ),
     "hops": _series("hop", "second", _HOP),
     "hops-minute": _series("hop_minute", "minute", _HOP),
+    "hops-hour": _series("hop_hour", "hour", _HOP),
     "rates": _series("rate", "second", ("n",)),
     "rates-minute": _series("rate_minute", "minute", ("n",)),
+    "rates-hour": _series("rate_hour", "hour", ("n",)),
     "levels": _series("level", "second", ("value",)),
     "levels-minute": _series("level_minute", "minute", ("value", "n")),
+    "levels-hour": _series("level_hour", "hour", ("value", "n")),
     "health": Table(
         ("run", "service", "instance", "pid", "name", "value"),
         f"SELECT {_PROCESS}, n.text, t.value FROM health t {_OF_PROCESS} {_NAMED}",  # noqa: S608

@@ -12,13 +12,14 @@
     acquisition (stream, beacon, began_us)
     process     a process within a run, and the wall-clock time of its start
     health      (process, name) -> newest value of each counter and gauge
-    rate        (process, second, name) -> n, by how much a counter rose; rate_minute: added
-    level       (process, second, name) -> value of a gauge, n = 1; level_minute: the greatest, n seconds
-    hop         (process, second, name) -> n, p50_us, p95_us, p99_us; hop_minute: n added, the mean p50, and the
+    rate        (process, second, name) -> n, by how much a counter rose; rate_minute, rate_hour: added
+    level       (process, second, name) -> value of a gauge, n = 1; _minute, _hour: the greatest, n seconds
+    hop         (process, second, name) -> n, p50_us, p95_us, p99_us; _minute, _hour: n added, the mean p50, and the
                 greatest p95 and p99 of its seconds
 
 All rows are written with INSERT OR REPLACE under these keys: writing a row twice changes nothing. Times `_wall_s` are
-Unix seconds of this host; seconds of a stream are its camera's time, seconds of a process its uptime.
+Unix seconds of this host; seconds of a stream are its camera's time, seconds of a process its uptime. The keys serve
+`show`; what is of a time by the host's clock (retention, `--last`) goes by the indexes `..._age`.
 """
 
 from __future__ import annotations
@@ -33,24 +34,21 @@ VERSION: Final = 2
 # "helg" in ASCII: tells our files from any other SQLite database.
 APPLICATION_ID: Final = 0x68656C67
 
-_SERIES: Final = (
-    ("count", "stream", "second", "n INTEGER NOT NULL"),
-    ("count_minute", "stream", "minute", "n INTEGER NOT NULL"),
-    ("count_hour", "stream", "hour", "n INTEGER NOT NULL"),
-    *(
-        (f"{table}{tier}", "process", time, columns)
-        for table, columns in (
-            ("rate", "n INTEGER NOT NULL"),
-            ("level", "value REAL NOT NULL, n INTEGER NOT NULL"),
-            ("hop", "n INTEGER NOT NULL, p50_us INTEGER NOT NULL, p95_us INTEGER NOT NULL, p99_us INTEGER NOT NULL"),
-        )
-        for tier, time in (("", "second"), ("_minute", "minute"))
-    ),
-)
+# The ending of a table's name -> the column of its time, and how many seconds a step has.
+TIERS: Final = {"": ("second", 1), "_minute": ("minute", 60), "_hour": ("hour", 3_600)}
+# table -> what its rows are owned by, and the columns behind owner, time and name
+SERIES: Final = {
+    "count": ("stream", {"n": "INTEGER"}),
+    "rate": ("process", {"n": "INTEGER"}),
+    "level": ("process", {"value": "REAL", "n": "INTEGER"}),
+    "hop": ("process", dict.fromkeys(("n", "p50_us", "p95_us", "p99_us"), "INTEGER")),
+}
 _SERIES_SQL: Final = "".join(
-    f"CREATE TABLE {table} ({owner} INTEGER NOT NULL REFERENCES {owner}(id), {time} INTEGER NOT NULL,"
-    f" name INTEGER NOT NULL REFERENCES name(id), {columns}, PRIMARY KEY ({owner}, {time}, name)) WITHOUT ROWID;\n"
-    for table, owner, time, columns in _SERIES
+    f"CREATE TABLE {table}{tier} ({owner} INTEGER NOT NULL REFERENCES {owner}(id), {time} INTEGER NOT NULL,"
+    f" name INTEGER NOT NULL REFERENCES name(id), {', '.join(f'{c} {kind} NOT NULL' for c, kind in columns.items())},"
+    f" PRIMARY KEY ({owner}, {time}, name)) WITHOUT ROWID;\n"
+    for table, (owner, columns) in SERIES.items()
+    for tier, (time, _) in TIERS.items()
 )
 TABLES: Final = f"""
 CREATE TABLE meta (version INTEGER NOT NULL);
@@ -78,6 +76,10 @@ CREATE TABLE process (
 CREATE TABLE health (
   process INTEGER NOT NULL REFERENCES process(id), name INTEGER NOT NULL REFERENCES name(id), value REAL NOT NULL,
   PRIMARY KEY (process, name)) WITHOUT ROWID;
+CREATE INDEX span_age ON span(wall_s);
+CREATE INDEX span_seconds_age ON span(wall_s) WHERE has_seconds;
+CREATE INDEX sighting_age ON sighting(wall_s);
+CREATE INDEX acquisition_age ON acquisition(wall_s);
 {_SERIES_SQL}"""
 
 

@@ -183,6 +183,7 @@ def summary(path: str | Path) -> dict[str, Any]:
 
 def _summarise(connection: sqlite3.Connection, path: str, span: Span) -> Summary:
     counts = Tallies(connection, span, _BLOCKED)
+    levels = process_series(connection, span, "level")
     estimates = counts.total["mar_estimates"]
     has_truth = any(counts.total[kind] for kind in ("sent_visible", "sent_in_view", "right", "wrong", "judged"))
     cameras = connection.execute("SELECT DISTINCT camera FROM stream WHERE run = ? ORDER BY 1", (span.run,))
@@ -200,9 +201,9 @@ def _summarise(connection: sqlite3.Connection, path: str, span: Span) -> Summary
         late=counts.total["late"] + counts.total["late_frames"],
         missing=process_numbers(connection, span, "missing: "),
         dropped=process_numbers(connection, span, "dropped: "),
-        rates=_rates(connection, span),
+        rates=_rates(connection, span, levels),
         hops=_hops(connection, span),
-        loads=_loads(connection, span),
+        loads=_loads(levels),
         mar_estimated=counts.total["mar_estimate_ppm"] / estimates / 1e6 if estimates else None,
         accuracy=_accuracy(connection, span, counts) if has_truth else None,
         sightings=_sightings(connection, span),
@@ -266,12 +267,11 @@ def _per_hour(n: float, exposure_us: int) -> float | None:
     return n * HOUR_US / exposure_us if exposure_us else None
 
 
-def _rates(connection: sqlite3.Connection, span: Span) -> dict[str, float]:
+def _rates(connection: sqlite3.Connection, span: Span, levels: list[tuple[Any, ...]]) -> dict[str, float]:
     """Return messages published a second, by "process topic"; a process reports once a second."""
     prefix = "published: "
-    reports = process_series(connection, span, "level", "sum(t.n)")
-    seconds = {process: n for process, name, n in reports if name == "cpu_share"}
-    rows = process_series(connection, span, "rate", "sum(t.n)")
+    seconds = {process: n for process, name, _, n in levels if name == "cpu_share"}
+    rows = process_series(connection, span, "rate")
     return {
         f"{process} {name.removeprefix(prefix)}": round(n / seconds[process], 3)
         for process, name, n in rows
@@ -280,14 +280,13 @@ def _rates(connection: sqlite3.Connection, span: Span) -> dict[str, float]:
 
 
 def _hops(connection: sqlite3.Connection, span: Span) -> list[Hop]:
-    figures = "sum(t.n), sum(t.n * t.p50_us) * 1.0 / max(sum(t.n), 1), max(t.p95_us), max(t.p99_us)"
-    rows = process_series(connection, span, "hop", figures)
+    rows = process_series(connection, span, "hop")
     return [Hop(p, hop, n, *(round(us / 1000, 3) for us in (p50, p95, p99))) for p, hop, n, p50, p95, p99 in rows]
 
 
-def _loads(connection: sqlite3.Connection, span: Span) -> list[Load]:
+def _loads(levels: list[tuple[Any, ...]]) -> list[Load]:
     most: dict[str, dict[str, float]] = {}
-    for process, name, value in process_series(connection, span, "level", "max(t.value)"):
+    for process, name, value, _ in levels:
         most.setdefault(process, {})[name] = value
     return [Load(p, int(of.get("queue", 0)), round(of.get("cpu_share", 0.0), 4)) for p, of in sorted(most.items())]
 
@@ -298,7 +297,7 @@ def _acquisition(connection: sqlite3.Connection, span: Span, occluded_us: int | 
         "SELECT a.acquired_us FROM acquisition a JOIN stream s ON s.id = a.stream WHERE s.run = ?1"
         " AND a.wall_s >= ?3 AND a.lasted_us >= 1000000"
         " AND iif(?2 IS NULL, a.occluded_us IS NULL, a.occluded_us >= ?2)",
-        (span.run, occluded_us, max(span.since_wall_s, -1e12)),
+        (span.run, occluded_us, span.since_wall_s),
     ).fetchall()
     times = np.sort(np.array([np.inf if acquired is None else acquired for (acquired,) in rows], np.float64))
     if not len(times):
@@ -318,7 +317,7 @@ def _sightings(connection: sqlite3.Connection, span: Span) -> list[Sighting]:
         "SELECT s.camera, g.track, g.beacon, g.protocol, g.first_us, g.last_us, g.frames, g.ended FROM sighting g"
         " JOIN stream s ON s.id = g.stream WHERE s.run = ? AND g.wall_s >= ?"
         " ORDER BY s.camera, s.epoch, g.first_us, g.track",
-        (span.run, max(span.since_wall_s, -1e12)),
+        (span.run, span.since_wall_s),
     )
     return [
         Sighting(camera, track, beacon, protocol, first_us, last_us, frames, bool(ended))

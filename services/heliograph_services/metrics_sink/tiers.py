@@ -1,7 +1,8 @@
 """Minutes and hours made of seconds, and what is let go of when it is old.
 
 A minute is added anew from all of its seconds, an hour from all of its minutes, in the transaction that wrote one of
-them: so the tiers always agree, and a second that is written again changes nothing twice. Seconds are kept for
+them: so the tiers always agree, and a second that is written again changes nothing twice. Of a hop the p50 of a minute
+is the mean of its seconds', by their n, and p95 and p99 are the greatest: percentiles cannot be added. Seconds are kept for
 `seconds_h` hours, all else for `days` days of the host's clock. Rows are deleted a few minutes' worth at a time, so
 that the loop that feeds the sink never waits long; the file does not shrink, its free pages are used again.
 """
@@ -12,6 +13,7 @@ import sqlite3
 from dataclasses import dataclass
 from typing import Final
 
+from heliograph_services.metrics_sink.schema import SERIES, TIERS
 from heliograph_services.metrics_sink.tables import MINUTE_S, Touched
 
 MINUTES_AN_HOUR: Final = 60
@@ -22,23 +24,21 @@ PRUNED_MINUTES: Final = 30
 # A computer without a battery behind its clock starts in 1970: before this (2020-01-01) nothing has an age.
 NO_CLOCK_S: Final = 1_577_836_800.0
 
-_MINUTE_OF: Final = {
-    "count": ("stream", "sum(n)"),
-    "rate": ("process", "sum(n)"),
-    "level": ("process", "max(value), sum(n)"),
-    "hop": ("process", "sum(n), sum(n * p50_us) / max(sum(n), 1), max(p95_us), max(p99_us)"),
+_ADDED: Final = {
+    "count": "sum(n)",
+    "rate": "sum(n)",
+    "level": "max(value), sum(n)",
+    "hop": "sum(n), sum(n * p50_us) / max(sum(n), 1), max(p95_us), max(p99_us)",
 }
-_PROCESS_SERIES: Final = ("rate", "level", "hop")
-# ?1 the stream or process, ?2 the minute.
-_TO_MINUTE: Final = {
-    table: f"INSERT OR REPLACE INTO {table}_minute SELECT {owner}, ?2, name, {values} FROM {table}"  # noqa: S608
-    f" WHERE {owner} = ?1 AND second BETWEEN {MINUTE_S} * ?2 AND {MINUTE_S} * ?2 + {MINUTE_S - 1} GROUP BY name"
-    for table, (owner, values) in _MINUTE_OF.items()
+_PROCESS_SERIES: Final = tuple(table for table, (owner, _) in SERIES.items() if owner == "process")
+_UPPER: Final = {"_minute": "", "_hour": "_minute"}
+# A minute has as many seconds as an hour has minutes. ?1 the stream or process, ?2 the minute or hour.
+_ROLL_UP: Final = {
+    table + tier: f"INSERT OR REPLACE INTO {table}{tier} SELECT {owner}, ?2, name, {_ADDED[table]} FROM {table}{below}"  # noqa: S608
+    f" WHERE {owner} = ?1 AND {TIERS[below][0]} BETWEEN 60 * ?2 AND 60 * ?2 + 59 GROUP BY name"
+    for table, (owner, _) in SERIES.items()
+    for tier, below in _UPPER.items()
 }
-_TO_HOUR: Final = (
-    "INSERT OR REPLACE INTO count_hour SELECT stream, ?2, name, sum(n) FROM count_minute WHERE stream = ?1"  # noqa: S608
-    f" AND minute BETWEEN {MINUTES_AN_HOUR} * ?2 AND {MINUTES_AN_HOUR} * ?2 + {MINUTES_AN_HOUR - 1} GROUP BY name"
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,10 +55,11 @@ def roll_up(connection: sqlite3.Connection, touched: Touched) -> None:
     Raises:
         sqlite3.Error: the file cannot be written now.
     """
-    connection.executemany(_TO_MINUTE["count"], sorted(touched.streams))
-    connection.executemany(_TO_HOUR, sorted({(of, minute // MINUTES_AN_HOUR) for of, minute in touched.streams}))
-    for table in _PROCESS_SERIES:
-        connection.executemany(_TO_MINUTE[table], sorted(touched.processes))
+    for table, (owner, _) in SERIES.items():
+        minutes = touched.streams if owner == "stream" else touched.processes
+        connection.executemany(_ROLL_UP[f"{table}_minute"], sorted(minutes))
+        hours = {(of, minute // MINUTES_AN_HOUR) for of, minute in minutes}
+        connection.executemany(_ROLL_UP[f"{table}_hour"], sorted(hours))
 
 
 def prune(connection: sqlite3.Connection, keep: Keep, now_wall_s: float) -> int:
@@ -109,11 +110,13 @@ def _prune_all(connection: sqlite3.Connection, before_s: float) -> None:
     for table in ("sighting", "acquisition"):
         connection.execute(f"DELETE FROM {table} WHERE wall_s < ?", (before_s,))  # noqa: S608
     for process, started_s in connection.execute("SELECT id, started_wall_s FROM process").fetchall():
-        until = int((before_s - started_s) // MINUTE_S)
-        for table in _PROCESS_SERIES:
-            found = _first(connection, f"{table}_minute", process, "minute")
-            if found is not None and found < until:
-                _delete(connection, f"{table}_minute", "process", "minute", [(process, found, until)])
+        for tier in _UPPER:
+            time, step_s = TIERS[tier]
+            until = int((before_s - started_s) // step_s)
+            for table in _PROCESS_SERIES:
+                found = _first(connection, f"{table}{tier}", process, time)
+                if found is not None and found < until:
+                    _delete(connection, f"{table}{tier}", "process", time, [(process, found, until)])
     _prune_runs(connection, before_s)
 
 
@@ -125,7 +128,7 @@ def _prune_runs(connection: sqlite3.Connection, before_s: float) -> None:
         (before_s,),
     ).fetchall()
     for (run,) in old:
-        for table in ("health", *_PROCESS_SERIES, *(f"{table}_minute" for table in _PROCESS_SERIES)):
+        for table in ("health", *(f"{table}{tier}" for table in _PROCESS_SERIES for tier in TIERS)):
             connection.execute(
                 f"DELETE FROM {table} WHERE process IN (SELECT id FROM process WHERE run = ?)",  # noqa: S608
                 (run,),
