@@ -1,33 +1,53 @@
 """Ten thousand frames a second into the metrics sink: what was published is what is in the file, or it is told.
 
-Real processes: router, sink, and one that stands in the decoder's place and publishes `frames/cam0` as a decoder of
-20 tracks would, a window a millisecond, 20 `ids` at 10 Hz each and `link` at 1 Hz, at the pace of a live camera (never
-faster; what it could not send in time it sends at once). It counts what it published, and so does its numbering on
-the bus. After it has ended and the sink has been stopped, the file must hold as many frames::
+Real processes: router, sink, and who publishes. Three ways:
+
+    decoder   the decoder's own process. Events of 23 beacons at 5 kbit/s (10,450 frames a second; `decoder_corpus`)
+              and their tracks are sent to it at the pace of a camera by a process that knows them. What it published is
+              what it says itself in its last health report: messages on `frames/cam0`, and frames in them.
+    stand_in  a process that publishes what that decoder would, by the same bus and so with the same numbering and
+              counters, at exactly --frames-s: a window a millisecond, `ids` at 10 Hz and `link` at 1 Hz of 20 tracks.
+              For machines on which a decoder does not come to that rate beside everything else that runs.
+    killed    a stand-in at 1,000 frames a second, and the sink killed (kill -9) after 3 to 5 s, KILLS times, seed by
+              seed: `lost_s` is what was published until then and is not in the file, as a time at that rate; it holds
+              what was still on its way, too. Nothing of it counts as lost below.
+
+Nobody is faster than a live camera; what could not be sent in time is sent at once. After the publisher has ended and
+then the sink, the file must hold as many frames::
 
     lost = published - counted in the file        missing, dropped: what the sink itself reported
 
-`cpu_share` is the sink's, from its own reports; `behind_s` the most that the publisher was late.
+`frames_s` is frames over the time from the publisher's first to its last message; `cpu_share` the sink's, from its own
+reports; `behind_s` the most that the sender was late; `decoder_dropped` what the decoder's queues gave up.
 
-Run: OMP_NUM_THREADS=1 python bench/bench_sink.py [--seconds 60] [--frames-s 10000] [-o FILE] (about .6 cores)
+Run: OMP_NUM_THREADS=1 python bench/bench_sink.py [decoder] [stand_in] [killed] [--seconds 60] [-o FILE]
+(about 1.3 cores, .5 with the stand-in alone)
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
+import os
 import platform
+import random
+import statistics
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-sys.path[:0] = [str(Path(__file__).parents[1] / "tests")]
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "tests")]
+
+import decoder_corpus  # noqa: E402
 
 from heliograph.messages import Frames, Health, Link  # noqa: E402
-from heliograph.shell.bus import connected  # noqa: E402
+from heliograph.shell.bus import Bus, connected  # noqa: E402
 from heliograph.shell.links import client_config  # noqa: E402
 from heliograph.shell.process import Stop  # noqa: E402
 from heliograph.shell.site import BusLinks  # noqa: E402
@@ -36,8 +56,16 @@ from support.processes import Collector, Host, collecting, free_port  # noqa: E4
 from support.truth_scenes import state  # noqa: E402
 
 RESULT: Final = Path(__file__).parent / "results" / "sink.json"
+WAYS: Final = ("decoder", "stand_in", "killed")
+KILLS: Final = 10
 TRACKS: Final = 20
 WINDOW_US: Final = 1_000
+SEED, BEACONS, BIT_RATE, EVENTS_HZ, INSIDE = 1, 23, 5_000.0, 6e5, 0.9
+# 5000 frames of 11 bits: at the seam of the loop nothing jumps.
+LOOP_US: Final = 11_000_000
+# Of frames by the decoder, before the minute that counts: to acquire 23 tracks, and a few seams.
+ACQUISITION_S: Final = 3.0
+PATIENCE_S: Final = 300.0
 SITE: Final = """
 site = "sink"
 [bus]
@@ -47,6 +75,16 @@ listen = ["tcp/127.0.0.1:{port}"]
 [[service]]
 kind = "metrics_sink"
 file = "metrics.sqlite"
+[[service]]
+kind = "decoder"
+{beacons}
+"""
+BEACON: Final = """
+[[beacon]]
+name = "{name}"
+protocol = "seed11"
+payload = {payload}
+bit_rate = {bit_rate}
 """
 
 
@@ -70,101 +108,213 @@ def frames_of(window: int, each: int) -> Frames:
     )
 
 
-def publish(port: int, seconds: float, frames_s: float) -> None:
-    """Stand in the decoder's place; print what was published as JSON."""
-    links = BusLinks(connect=(f"tcp/127.0.0.1:{port}",), shared_memory=False)
+def paced(seconds: float, send: Callable[[int], None]) -> float:
+    """Call `send` of each window of so many seconds when it is over; return the most that it was late, s."""
+    began_s, behind_s = time.monotonic(), 0.0
+    for window in range(1, round(seconds * 1e6 / WINDOW_US) + 1):
+        ahead_s = began_s + window * WINDOW_US / 1e6 - time.monotonic()
+        behind_s = max(behind_s, -ahead_s)
+        if ahead_s > 0:
+            time.sleep(ahead_s)
+        send(window)
+    return behind_s
+
+
+def stand_in(bus: Bus, seconds: float, frames_s: float) -> dict[str, Any]:
+    """Publish in the decoder's place; return what was published."""
     each = round(frames_s * WINDOW_US / 1e6)
-    windows, behind_s = round(seconds * 1e6 / WINDOW_US), 0.0
-    with connected(client_config(links), "sink", "decoder/decoder", Stop()) as bus:
+
+    def send(window: int) -> None:
+        bus.publish(frames_of(window, each))
+        t_us = window * WINDOW_US
+        for track in range(TRACKS) if window % 100 == 0 else ():
+            change = "accepted" if window == 100 else "refreshed"
+            bus.publish(state(t_us, change, f"beacon{track}", f"t-{track}", 100_000, track, x_px=30.0 * track))
+        for track in range(TRACKS) if window % 1000 == 0 else ():
+            bus.publish(
+                Link(camera="cam0", track=f"t-{track}", t_us=t_us, protocol="seed11", bit_rate=5e3, snr_db=20.0,
+                     jitter_us=10.0, clock_ppm=0.0, events_per_transition=30.0, mar_estimate=0.99)
+            )  # fmt: skip
+
+    # Zenoh tells a router of a new key a moment after it is declared.
+    bus.publish(frames_of(0, 0))
+    time.sleep(1.0)
+    began_s = time.monotonic()
+    behind_s = paced(seconds, send)
+    took_s = time.monotonic() - began_s
+    return {"frames": round(seconds * 1e6 / WINDOW_US) * each, "messages": bus.published["frames"],
+            "took_s": round(took_s, 2), "behind_s": round(behind_s, 3)}  # fmt: skip
+
+
+def scene(bus: Bus, seconds: float) -> dict[str, Any]:
+    """Send events and tracks, as source and tracker would; return how it went."""
+    corpus = made()
+
+    def send(window: int) -> None:
+        at_us = (window - 1) * WINDOW_US
+        if at_us % decoder_corpus.PERIOD_US == 0:
+            bus.publish(corpus.tracks(at_us))
+        t0_us = at_us % LOOP_US
+        bus.publish(corpus.events(t0_us, t0_us + WINDOW_US, at_us - t0_us))
+
+    behind_s = paced(seconds + ACQUISITION_S, send)
+    return {"behind_s": round(behind_s, 3), "events": bus.published["events"]}
+
+
+def made() -> decoder_corpus.Corpus:
+    """Return the events of the loop."""
+    seconds = LOOP_US / 1e6
+    return decoder_corpus.corpus(SEED, seconds, EVENTS_HZ, INSIDE, beacons=BEACONS, bit_rate=BIT_RATE)
+
+
+def publish(way: str, port: int, seconds: float, frames_s: float) -> None:
+    """Be the process that publishes; print what was published as JSON."""
+    links = BusLinks(connect=(f"tcp/127.0.0.1:{port}",))
+    name = "decoder/decoder" if way == "stand_in" else f"client/{os.getpid()}"
+    with connected(client_config(links), "sink", name, Stop()) as bus:
         assert bus is not None
-        # Zenoh tells a router of a new key a moment after it is declared.
-        bus.publish(frames_of(0, 0))
-        time.sleep(1.0)
-        began_s = time.monotonic()
-        for window in range(1, windows + 1):
-            ahead_s = began_s + window * WINDOW_US / 1e6 - time.monotonic()
-            behind_s = max(behind_s, -ahead_s)
-            if ahead_s > 0:
-                time.sleep(ahead_s)
-            bus.publish(frames_of(window, each))
-            t_us = window * WINDOW_US
-            for track in range(TRACKS) if window % 100 == 0 else ():
-                change = "accepted" if window == 100 else "refreshed"
-                bus.publish(state(t_us, change, f"beacon{track}", f"t-{track}", 100_000, track, x_px=30.0 * track))
-            for track in range(TRACKS) if window % 1000 == 0 else ():
-                bus.publish(
-                    Link(camera="cam0", track=f"t-{track}", t_us=t_us, protocol="seed11", bit_rate=5e3, snr_db=20.0,
-                         jitter_us=10.0, clock_ppm=0.0, events_per_transition=30.0, mar_estimate=0.99)
-                )  # fmt: skip
+        told = stand_in(bus, seconds, frames_s) if way == "stand_in" else scene(bus, seconds)
         # What is on its way must leave before the session does.
         time.sleep(1.0)
-        print(json.dumps({"frames": windows * each, "messages": bus.published["frames"], "behind_s": round(behind_s, 3),
-                          "took_s": round(time.monotonic() - began_s - 1.0, 2)}))  # fmt: skip
+        print(json.dumps(told))
 
 
-def waits(heard: Collector) -> float:
-    """Return how many messages wait in the sink's queues, as it last said."""
-    reports = [m for m in heard.messages["health"] if isinstance(m, Health) and m.service == "metrics_sink"]
-    return reports[-1].gauges.get("queue", 0.0)
+def reports(heard: Collector, service: str) -> list[Health]:
+    """Return what a process has said of itself."""
+    return [m for m in heard.messages["health"] if isinstance(m, Health) and m.service == service]
 
 
-def run(seconds: float, frames_s: float) -> dict[str, Any]:
+def at_rest(heard: Collector, service: str) -> None:
+    """Wait until the last three reports of a process say that nothing waits for it and nothing new has come."""
+
+    def rests(h: Collector) -> bool:
+        last = reports(h, service)[-3:]
+        received = {tuple(sorted((k, v) for k, v in m.counters.items() if _is_input(k))) for m in last}
+        return len(last) == 3 and len(received) == 1 and not any(m.gauges.get("queue", 0.0) for m in last)
+
+    heard.until(rests, f"the end of the {service}'s queue", PATIENCE_S)
+
+
+def _is_input(counter: str) -> bool:
+    return counter.startswith("received: ") and counter not in {"received: health", "received: ids"}
+
+
+def run(way: str, seconds: float, frames_s: float) -> dict[str, Any]:
     """Return what was published, what was kept, and what the sink said of itself."""
     with tempfile.TemporaryDirectory(prefix="heliograph-bench-") as name:
         folder, port = Path(name), free_port()
-        host = Host(folder, "sink", SITE.format(port=port), ["metrics_sink"])
+        listed = made().beacons if way == "decoder" else ()
+        beacons = "".join(BEACON.format(name=b.name, payload=b.payload, bit_rate=b.bit_rate) for b in listed)
+        kinds = ["metrics_sink", "decoder"] if way == "decoder" else ["metrics_sink"]
+        host = Host(folder, "sink", SITE.format(port=port, beacons=beacons), kinds)
         try:
             with collecting(port, "sink", ["health"]) as heard:
-                heard.until(lambda h: len(h.messages["health"]) > 0, "the sink")
-                command = [sys.executable, __file__, "--publish", str(port)]
-                command += ["--seconds", str(seconds), "--frames-s", str(frames_s)]
-                told = subprocess.run(command, check=True, capture_output=True, text=True, timeout=seconds + 120)
-                n = len(heard.messages["health"])
-                heard.until(lambda h: len(h.messages["health"]) > n + 4 and waits(h) == 0, "the end of its queue")
-            statuses = host.close()
+                for kind in kinds:
+                    heard.until(lambda h, kind=kind: bool(reports(h, kind)), f"the {kind}", PATIENCE_S)  # type: ignore[misc]
+                command = [sys.executable, __file__, "--publish", way, str(port), "--seconds", str(seconds)]
+                told = subprocess.run(
+                    [*command, "--frames-s", str(frames_s)], check=True, capture_output=True, text=True,
+                    timeout=seconds + 3 * PATIENCE_S,
+                )  # fmt: skip
+                published = json.loads(told.stdout.splitlines()[-1])
+                if way == "decoder":
+                    at_rest(heard, "decoder")
+                    host.processes["decoder"].terminate()
+                    host.wait("decoder")
+                    heard.until(lambda h: reports(h, "decoder")[-1].state == "stopping", "the decoder's last report")
+                    published |= said(reports(heard, "decoder"))
+                at_rest(heard, "metrics_sink")
+            host.close()
         finally:
             host.close()
-        published = json.loads(told.stdout.splitlines()[-1])
-        reports = [m for m in heard.messages["health"] if isinstance(m, Health) and m.service == "metrics_sink"]
-        kept = summarise(folder / "metrics.sqlite")
-        busy = [m.cpu_share for m in reports if m.cpu_share > 0]
-        return {
-            "seconds": seconds,
-            "frames_s": frames_s,
-            "published": published,
-            "kept_frames": kept.frames,
-            "kept_seconds": kept.seconds,
-            "lost": published["frames"] - kept.frames,
-            "late": kept.late,
-            "missing": reports[-1].counters.get("missing: frames", 0),
-            "dropped": {k: v for k, v in reports[-1].counters.items() if k.startswith("dropped") and v},
-            "received": reports[-1].counters.get("received: frames", 0),
-            "refused": kept.refused,
-            "sightings": len(kept.sightings),
-            "cpu_share": {"median": sorted(busy)[len(busy) // 2], "most": max(busy)},
-            "queue_most": max(int(m.gauges.get("queue", 0)) for m in reports),
-            "latency_ms": {hop.hop: [hop.p50_ms, hop.p95_ms, hop.p99_ms] for hop in kept.hops},
-            "file_kb": round((folder / "metrics.sqlite").stat().st_size / 1e3),
-            "exit": statuses["metrics_sink"],
-        }
+        return {"seconds": seconds, "published": published} | kept(folder / "metrics.sqlite", heard, published)
+
+
+def lost_by_a_kill(seed: int) -> float:
+    """Return what a sink that is killed has lost, s."""
+    n = random.Random(seed).randrange(3_000, 5_000)
+    with tempfile.TemporaryDirectory(prefix="heliograph-bench-") as name:
+        folder, port = Path(name), free_port()
+        host = Host(folder, "sink", SITE.format(port=port, beacons=""), ["metrics_sink"])
+        try:
+            with collecting(port, "sink", ["health"]) as heard:
+                heard.until(lambda h: bool(reports(h, "metrics_sink")), "the sink", PATIENCE_S)
+                paced(n * WINDOW_US / 1e6, lambda window: heard.bus.publish(frames_of(window, 1)))
+                host.kill("metrics_sink")
+        finally:
+            host.close()
+        return round((n - summarise(folder / "metrics.sqlite").frames) * WINDOW_US / 1e6, 3)
+
+
+def killed(_: float, __: float) -> dict[str, Any]:
+    """Return how much a sink that is killed has lost, time after time."""
+    lost_s = [lost_by_a_kill(seed) for seed in range(KILLS)]
+    return {"kills": KILLS, "lost_s": {"median": statistics.median(lost_s), "most": max(lost_s), "each": lost_s}}
+
+
+def said(of: list[Health]) -> dict[str, Any]:
+    """Return what the decoder has published, by its own count; the rate is that between two reports with frames."""
+    busy = [m for before, m in itertools.pairwise(of) if m.counters["frames"] > before.counters["frames"]]
+    last = of[-1].counters
+    took_s = busy[-1].uptime_s - busy[0].uptime_s
+    return {
+        "frames": last["frames"],
+        "messages": last["published: frames"],
+        "took_s": round(took_s, 2),
+        "frames_s": round((busy[-1].counters["frames"] - busy[0].counters["frames"]) / took_s, 1),
+        "decoder_dropped": {k: v for k, v in last.items() if k.startswith("dropped") and v},
+        "decoder_cpu_share": sorted(m.cpu_share for m in busy)[len(busy) // 2],
+    }
+
+
+def kept(path: Path, heard: Collector, published: dict[str, Any]) -> dict[str, Any]:
+    """Return what the sink has kept and said of itself."""
+    of = reports(heard, "metrics_sink")
+    last, found = of[-1].counters, summarise(path)
+    busy = sorted(m.cpu_share for m in of if m.cpu_share > 0)
+    return {
+        "kept_frames": found.frames,
+        "lost": published["frames"] - found.frames,
+        "received": last.get("received: frames", 0),
+        "messages_lost": published["messages"] - last.get("received: frames", 0),
+        "late": found.late,
+        "missing": last.get("missing: frames", 0),
+        "dropped": {k: v for k, v in last.items() if k.startswith("dropped") and v},
+        "kept_seconds": found.seconds,
+        "refused": found.refused,
+        "sightings": len(found.sightings),
+        "cpu_share": {"median": busy[len(busy) // 2], "most": busy[-1]},
+        "queue_most": max(int(m.gauges.get("queue", 0)) for m in of),
+        "latency_ms": {
+            hop.hop: [hop.p50_ms, hop.p95_ms, hop.p99_ms] for hop in found.hops if hop.process.startswith("metrics")
+        },
+        "file_kb": round(path.stat().st_size / 1e3),
+    }
 
 
 def main() -> int:
     """Measure, print and store; return 1 where a frame was lost."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("ways", nargs="*", metavar="|".join(WAYS), help="all by default")
     parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--frames-s", type=float, default=10_000.0)
-    parser.add_argument("--publish", type=int, metavar="PORT", help=argparse.SUPPRESS)
+    parser.add_argument("--frames-s", type=float, default=10_000.0, help="of the stand-in")
+    parser.add_argument("--publish", nargs=2, metavar=("WAY", "PORT"), help=argparse.SUPPRESS)
     parser.add_argument("-o", "--output", type=Path, default=RESULT)
     args = parser.parse_args()
     if args.publish:
-        publish(args.publish, args.seconds, args.frames_s)
+        publish(args.publish[0], int(args.publish[1]), args.seconds, args.frames_s)
         return 0
-    result = {"evidence": "simulated", "machine": platform.machine(), "python": platform.python_version()}
-    result |= run(args.seconds, args.frames_s)
-    args.output.write_text(json.dumps(result, indent=1) + "\n")
-    print("\n".join(f"{name}: {value}" for name, value in result.items()))
-    return 1 if result["lost"] else 0
+    if unknown := set(args.ways) - set(WAYS):
+        parser.error(f"must be of {', '.join(WAYS)}, not {', '.join(sorted(unknown))}")
+    result: dict[str, Any] = json.loads(args.output.read_text()) if args.output.exists() else {}
+    result |= {"evidence": "simulated", "machine": platform.machine(), "python": platform.python_version()}
+    lost = 0
+    for way in args.ways or WAYS:
+        result[way] = (killed if way == "killed" else partial(run, way))(args.seconds, args.frames_s)
+        lost += result[way].get("lost", 0) + result[way].get("messages_lost", 0)
+        print(way, *(f"  {key}: {value}" for key, value in result[way].items()), sep="\n", flush=True)
+        args.output.write_text(json.dumps(result, indent=1) + "\n")
+    return 1 if lost else 0
 
 
 if __name__ == "__main__":

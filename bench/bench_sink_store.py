@@ -8,8 +8,8 @@ Sightings: one beacon comes and goes every ten minutes.
 
 Size, by SQLite's record format, computed before the week is written: a cell of a table without rowid has a length
 (1 byte), a pointer (2), a header of 1 + columns bytes, and each integer in the fewest of 0, 1, 2, 3, 4, 6 or 8 bytes
-(0 and 1 in none), a real in 8. Pages are not full: `fill` is the hour's cells over the hour's file; the computed size is
-the week's cells over that.
+(0 and 1 in none), a real in 8. Pages are not full: `fill` is the hour's cells over the hour's file; the computed size
+is the week's cells over that.
 
 Queries: `heliograph metrics show` without printing, REPEATS times in this process, file in the page cache; median and
 slowest. Of every statement of them SQLite tells the plan: none may go through all rows of a series. Retention: the

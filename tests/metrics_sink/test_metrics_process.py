@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import http.client
-import resource
 import sqlite3
-import threading
-import time
 from pathlib import Path
 
 import pytest
 
-from heliograph.messages import Health, Metrics
+from heliograph.messages import Metrics
 from heliograph_services.metrics_sink.store import SqliteStore
 from heliograph_services.metrics_sink.summary import summarise
-from support.processes import Collector, Host, collecting, free_port
+from support.processes import Host, collecting, free_port
 from support.truth_scenes import Said, Sent, state, truth
 
 SITE = """
@@ -55,86 +52,6 @@ def test_a_stream_on_the_bus_is_scored_published_and_kept(tmp_path: Path) -> Non
     assert kept.accuracy is not None
     assert (kept.accuracy.mar_visible.right, kept.accuracy.mar_visible.n) == (226, 226)
     assert kept.identified == {"crane": 1}
-
-
-def reports(heard: Collector) -> list[Health]:
-    """Return what the sink has said of itself so far."""
-    return [m for m in heard.messages["health"] if isinstance(m, Health) and m.service == "metrics_sink"]
-
-
-def received_before_the_last_commit(heard: Collector) -> int:
-    """Return how many messages of frames the sink had taken at a report after which it has committed again."""
-    rows = [(each.counters["store: rows"], each.counters.get("received: frames", 0)) for each in reports(heard)]
-    return max((taken for written, taken in rows if written < rows[-1][0]), default=0)
-
-
-@pytest.mark.processes
-def test_a_killed_sink_has_lost_at_most_its_last_second(tmp_path: Path) -> None:
-    """Frames at 500 a second; killed in the midst of it, all that it had counted before its last commit are there.
-
-    A commit comes once a second; the last of these seconds have not settled when it is killed.
-    """
-    port = free_port()
-    host = Host(tmp_path, "sink", SITE.format(port=port), ["metrics_sink"])
-    sent: list[int] = [0]
-    try:
-        with collecting(port, "sink", ["health"]) as heard:
-            heard.until(lambda h: len(reports(h)) > 0, "the sink")
-            began_s = time.monotonic()
-            for message in Said().all_of(Sent(frame_us=2_000), 4_000_000).messages(20_000):
-                heard.bus.publish(message)
-                sent.append(sent[-1] + len(message.t_us))
-                paced(began_s + len(sent) * 0.02)
-            heard.until(lambda h: received_before_the_last_commit(h) > 0, "a commit after a report")
-            host.kill("metrics_sink")
-            safe = sent[received_before_the_last_commit(heard)]
-    finally:
-        host.close()
-    kept = summarise(tmp_path / "kept" / "metrics.sqlite")
-    assert 0 < safe <= kept.frames <= sent[-1]
-
-
-def paced(until_s: float) -> None:
-    """Let time pass, as a camera does."""
-    threading.Event().wait(max(0.0, until_s - time.monotonic()))
-
-
-@pytest.mark.processes
-def test_a_disk_that_fills_up_is_told_survived_and_caught_up_with(tmp_path: Path) -> None:
-    """The kernel refuses what would make a file larger (a quota): rows wait, and are written when there is room."""
-    port = free_port()
-    host = Host(tmp_path, "sink", SITE.format(port=port), ["metrics_sink"])
-    path = tmp_path / "kept" / "metrics.sqlite"
-
-    def counters(h: Collector) -> dict[str, int]:
-        mine = reports(h)
-        return mine[-1].counters if mine else {}
-
-    try:
-        with collecting(port, "sink", ["health"]) as heard:
-            heard.until(lambda h: counters(h).get("store: rows", 0) > 0, "the first rows")
-            pid = host.processes["metrics_sink"].pid
-            _, hard = resource.prlimit(pid, resource.RLIMIT_FSIZE)
-            resource.prlimit(pid, resource.RLIMIT_FSIZE, (4_096, hard))
-            messages = [*truth([Sent()], UNTIL_US), *Said().all_of(Sent(), UNTIL_US).messages()]
-            for message in sorted(messages, key=lambda each: each.time_us):
-                heard.bus.publish(message)
-            heard.until(lambda h: counters(h).get("store: disk failures", 0) > 1, "failures")
-            resource.prlimit(pid, resource.RLIMIT_FSIZE, (hard, hard))
-            failures = counters(heard)["store: disk failures"]
-            assert failures > 0
-            # It still reads the bus, and says what waits; the next reports say that nothing does.
-            before = counters(heard)["store: rows"]
-            heard.until(lambda h: counters(h)["store: rows"] > before, "rows on the disk again")
-        assert host.close() == {"metrics_sink": 0, "router": 0}
-        assert host.log("metrics_sink").count("rows wait in memory") == 1
-        assert "written again" in host.log("metrics_sink")
-    finally:
-        host.close()
-    kept = summarise(path)
-    assert (kept.frames, kept.seconds) == (272, 3)
-    assert kept.accuracy is not None
-    assert kept.accuracy.mar_visible.n == 226
 
 
 @pytest.mark.processes

@@ -191,6 +191,35 @@ def test_a_file_of_another_kind_is_an_operators_error(tmp_path: Path) -> None:
         SqliteStore(other)
 
 
+def test_a_file_that_lacks_a_table_or_is_malformed_is_an_operators_error(tmp_path: Path) -> None:
+    path = tmp_path / "m.sqlite"
+    SqliteStore(path).close()
+    whole = path.read_bytes()
+    with sqlite3.connect(path) as connection:
+        connection.execute("DROP TABLE level_hour")
+    with pytest.raises(FileError, match="a damaged metrics file: it has no table level_hour"):
+        SqliteStore(path)
+    # The run's table lies on a page that is not the first: found out when the new run is written.
+    path.write_bytes(whole[:4096] + b"\xa5" * (len(whole) - 4096))
+    with pytest.raises(FileError, match=f"^{path}: (not|cannot be written as) a metrics file: "):
+        SqliteStore(path)
+
+
+def test_a_file_that_turns_malformed_keeps_rows_in_memory(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    clock, path = FakeClock(), tmp_path / "m.sqlite"
+    store = store_of(path, clock)
+    store._disconnect()  # what is in the log beside it goes into the file
+    whole = path.read_bytes()
+    path.write_bytes(whole[:4096] + b"\xa5" * (len(whole) - 4096))
+    with caplog.at_level(logging.INFO):
+        for second in range(1, 4):
+            clock.now_s = float(second)
+            store.write([count(second)])
+    assert (store.failures, store.waiting) == (3, 3)
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+    store.close()
+
+
 def test_a_file_of_a_later_version_is_an_operators_error(tmp_path: Path) -> None:
     path = tmp_path / "m.sqlite"
     SqliteStore(path).close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from heliograph.core import Context
 from heliograph.errors import FileError
 from heliograph.messages import Health, Message
+from heliograph_services.cli.metrics import table
 from heliograph_services.metrics_sink.config import MetricsSinkConfig
 from heliograph_services.metrics_sink.service import MetricsSink, make_core, warm
 from heliograph_services.metrics_sink.summary import summarise, summary
@@ -123,3 +125,22 @@ def test_silence_on_the_bus_finishes_seconds_by_the_health_reports(tmp_path: Pat
     assert core.feed(report) == []
     core.close()
     assert core.counters["store: rows"] > 0
+
+
+def test_truth_without_frames_is_one_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A site without its decoder: the sink's log says so once, and `show` says so above an accuracy of 0."""
+    path = tmp_path / "m.sqlite"
+    core = make_core(MetricsSinkConfig(file=str(path)), CONTEXT)
+    with caplog.at_level(logging.WARNING):
+        for message in truth([Sent()], 12_000_000):
+            core.feed(message)
+        core.close()
+    (record,) = caplog.records
+    assert record.getMessage() == "cam0: truth without frames for 5 s: does a decoder run?"
+    found = summarise(path)
+    assert found.frames == 0
+    assert found.accuracy is not None
+    assert found.accuracy.mar_visible.value == 0.0
+    assert [line for line in table(found).splitlines() if "truth without frames" in line] == [
+        "  truth without frames: nobody has read what was sent (does a decoder run?)"
+    ]

@@ -87,6 +87,8 @@ def table(found: Summary) -> str:
         estimate = "unknown" if found.mar_estimated is None else f"{found.mar_estimated:.3f} (by the receivers)"
         lines.append(f"  no truth: accuracy is not known; MAR estimated {estimate}")
     else:
+        if not found.frames:
+            lines.append("  truth without frames: nobody has read what was sent (does a decoder run?)")
         lines += _accuracy(found.accuracy)
         if found.block_s > 1:
             lines.append(f"    (a long time: the intervals' blocks are {found.block_s} s of a beacon, not 1 s)")

@@ -81,6 +81,7 @@ CREATE INDEX span_seconds_age ON span(wall_s) WHERE has_seconds;
 CREATE INDEX sighting_age ON sighting(wall_s);
 CREATE INDEX acquisition_age ON acquisition(wall_s);
 {_SERIES_SQL}"""
+_NAMES: Final = frozenset(line.split()[2] for line in TABLES.splitlines() if line.startswith("CREATE TABLE"))
 
 
 def create(connection: sqlite3.Connection) -> None:
@@ -141,3 +142,6 @@ def _check(connection: sqlite3.Connection, application: int, path: str = "") -> 
     if found is None or found[0] != VERSION:
         version = "no version" if found is None else f"version {found[0]}"
         raise FileError(f"{label}: metrics of {version}, this program has version {VERSION}: move the file away")
+    there = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    if missing := _NAMES - there:
+        raise FileError(f"{label}: a damaged metrics file: it has no table {', '.join(sorted(missing))}")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import time
+from collections import Counter
 from collections.abc import Callable
 from typing import Final
 
@@ -17,6 +19,11 @@ from heliograph_services.metrics_sink.scrape import Scrape
 from heliograph_services.metrics_sink.store import SqliteStore
 from heliograph_services.metrics_sink.tiers import Keep
 
+_LOG = logging.getLogger(__name__)
+
+# Of frames sent in sight; a decoder that has just begun compiles its kernels for a minute before it is announced, but
+# a source that waits for it sends nothing until then.
+UNREAD_S: Final = 5
 # How often the page for Prometheus is made: scrapers come every 5 to 60 s.
 PAGE_S: Final = 1.0
 
@@ -44,6 +51,7 @@ class MetricsSink:
         self._clock = clock
         self._quiet_s = config.settle_us / US_PER_S
         self._is_lockstep = context.lockstep
+        self._unread = Unread()
         self._heard_s = clock()
         self.refusals: Refusals = self._core.refusals
         self.counters: dict[str, int] = {}
@@ -80,6 +88,9 @@ class MetricsSink:
 
     def _kept(self, results: list[Message]) -> list[Message]:
         """Keep what the core has made; return its messages."""
+        for result in results:
+            if isinstance(result, Metrics):
+                self._unread.note(result)
         if self._scrape is not None:
             for result in results:
                 if isinstance(result, Metrics):
@@ -106,6 +117,25 @@ class MetricsSink:
         self.counters["store: rows lost"] = store.dropped
         self.counters["store: rows pruned"] = store.pruned
         self.gauges["store: rows waiting"] = float(store.waiting)
+
+
+class Unread:
+    """Says once that a camera's truth tells of frames and nobody reads any: a site without its decoder, most often."""
+
+    def __init__(self) -> None:
+        self._seconds: Counter[str] = Counter()
+
+    def note(self, message: Metrics) -> None:
+        """Take the counts of a finished second."""
+        cameras = {name.partition("/")[0] for name in message.counters}
+        for camera in cameras:
+            sent = any(name.startswith(f"{camera}/sent_visible/") for name in message.counters)
+            if message.counters.get(f"{camera}/frames"):
+                del self._seconds[camera]
+            elif sent:
+                self._seconds[camera] += 1
+                if self._seconds[camera] == UNREAD_S:
+                    _LOG.warning("%s: truth without frames for %d s: does a decoder run?", camera, UNREAD_S)
 
 
 def make_core(config: MetricsSinkConfig, context: Context) -> MetricsSink:

@@ -128,6 +128,10 @@ class SqliteStore:
         except (sqlite3.Error, OSError, FileError) as error:
             if starting and isinstance(error, FileError):
                 raise
+            if starting and type(error) is sqlite3.DatabaseError:
+                # Of this class itself is "malformed"; locked, full and read-only are of one below it, and pass.
+                self._disconnect()
+                raise FileError(f"{self._path}: cannot be written as a metrics file: {error}") from None
             self.failures += 1
             if not self._failing:
                 _LOG.warning("%s: rows wait in memory: %s", self._path, error)

@@ -1,8 +1,8 @@
 """Minutes and hours made of seconds, and what is let go of when it is old.
 
 A minute is added anew from all of its seconds, an hour from all of its minutes, in the transaction that wrote one of
-them: so the tiers always agree, and a second that is written again changes nothing twice. Of a hop the p50 of a minute
-is the mean of its seconds', by their n, and p95 and p99 are the greatest: percentiles cannot be added. Seconds are kept for
+them: so the tiers always agree, and a second that is written again changes nothing twice. Percentiles cannot be added:
+a minute of a hop has the mean of its seconds' p50, by their n, and the greatest p95 and p99. Seconds are kept for
 `seconds_h` hours, all else for `days` days of the host's clock. Rows are deleted a few minutes' worth at a time, so
 that the loop that feeds the sink never waits long; the file does not shrink, its free pages are used again.
 """
