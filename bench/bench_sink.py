@@ -6,7 +6,7 @@ Real processes: router, sink, and who publishes. Three ways:
               and their tracks are sent to it at the pace of a camera by a process that knows them. What it published is
               what it says itself in its last health report: messages on `frames/cam0`, and frames in them.
     stand_in  a process that publishes what that decoder would, by the same bus and so with the same numbering and
-              counters, at exactly --frames-s: a window a millisecond, `ids` at 10 Hz and `link` at 1 Hz of 20 tracks.
+              counters, at exactly --frames-s: a message each --window-us, `ids` at 10 Hz, `link` at 1 Hz, 20 tracks.
               For machines on which a decoder does not come to that rate beside everything else that runs.
     killed    a stand-in at 1,000 frames a second, and the sink killed (kill -9) after 3 to 5 s, KILLS times, seed by
               seed: `lost_s` is what was published until then and is not in the file, as a time at that rate; it holds
@@ -17,6 +17,9 @@ then the sink, the file must hold as many frames::
 
     lost = published - counted in the file        missing, dropped: what the sink itself reported
 
+Frames that came later than the sink waits for (`settle_us`) are counted apart, and told: `late_frames`.
+
+`load_1m` is the machine's: where it is above the number of cores, others took what these processes wanted.
 `frames_s` is frames over the time from the publisher's first to its last message; `cpu_share` the sink's, from its own
 reports; `behind_s` the most that the sender was late; `decoder_dropped` what the decoder's queues gave up.
 
@@ -88,13 +91,13 @@ bit_rate = {bit_rate}
 """
 
 
-def frames_of(window: int, each: int) -> Frames:
+def frames_of(window: int, each: int, window_us: int = WINDOW_US) -> Frames:
     """Return a window's message, with so many frames."""
     tracks = [(window * each + i) % TRACKS for i in range(each)]
-    t1_us = (window + 1) * WINDOW_US
+    t1_us = (window + 1) * window_us
     return Frames(
         camera="cam0",
-        t0_us=t1_us - WINDOW_US,
+        t0_us=t1_us - window_us,
         t1_us=t1_us,
         t_us=[t1_us - 500] * each,
         track=[f"t-{track}" for track in tracks],
@@ -108,11 +111,11 @@ def frames_of(window: int, each: int) -> Frames:
     )
 
 
-def paced(seconds: float, send: Callable[[int], None]) -> float:
+def paced(seconds: float, send: Callable[[int], None], window_us: int = WINDOW_US) -> float:
     """Call `send` of each window of so many seconds when it is over; return the most that it was late, s."""
     began_s, behind_s = time.monotonic(), 0.0
-    for window in range(1, round(seconds * 1e6 / WINDOW_US) + 1):
-        ahead_s = began_s + window * WINDOW_US / 1e6 - time.monotonic()
+    for window in range(1, round(seconds * 1e6 / window_us) + 1):
+        ahead_s = began_s + window * window_us / 1e6 - time.monotonic()
         behind_s = max(behind_s, -ahead_s)
         if ahead_s > 0:
             time.sleep(ahead_s)
@@ -120,30 +123,31 @@ def paced(seconds: float, send: Callable[[int], None]) -> float:
     return behind_s
 
 
-def stand_in(bus: Bus, seconds: float, frames_s: float) -> dict[str, Any]:
+def stand_in(bus: Bus, seconds: float, frames_s: float, window_us: int) -> dict[str, Any]:
     """Publish in the decoder's place; return what was published."""
-    each = round(frames_s * WINDOW_US / 1e6)
+    each = round(frames_s * window_us / 1e6)
 
     def send(window: int) -> None:
-        bus.publish(frames_of(window, each))
-        t_us = window * WINDOW_US
-        for track in range(TRACKS) if window % 100 == 0 else ():
-            change = "accepted" if window == 100 else "refreshed"
+        bus.publish(frames_of(window, each, window_us))
+        t_us = window * window_us
+        for track in range(TRACKS) if t_us % 100_000 == 0 else ():
+            change = "accepted" if t_us == 100_000 else "refreshed"
             bus.publish(state(t_us, change, f"beacon{track}", f"t-{track}", 100_000, track, x_px=30.0 * track))
-        for track in range(TRACKS) if window % 1000 == 0 else ():
+        for track in range(TRACKS) if t_us % 1_000_000 == 0 else ():
             bus.publish(
                 Link(camera="cam0", track=f"t-{track}", t_us=t_us, protocol="seed11", bit_rate=5e3, snr_db=20.0,
                      jitter_us=10.0, clock_ppm=0.0, events_per_transition=30.0, mar_estimate=0.99)
             )  # fmt: skip
 
     # Zenoh tells a router of a new key a moment after it is declared.
-    bus.publish(frames_of(0, 0))
+    bus.publish(frames_of(0, 0, window_us))
     time.sleep(1.0)
     began_s = time.monotonic()
-    behind_s = paced(seconds, send)
+    behind_s = paced(seconds, send, window_us)
     took_s = time.monotonic() - began_s
-    return {"frames": round(seconds * 1e6 / WINDOW_US) * each, "messages": bus.published["frames"],
-            "took_s": round(took_s, 2), "behind_s": round(behind_s, 3)}  # fmt: skip
+    n = round(seconds * 1e6 / window_us) * each
+    return {"frames": n, "messages": bus.published["frames"], "took_s": round(took_s, 2),
+            "frames_s": round(n / took_s, 1), "behind_s": round(behind_s, 3)}  # fmt: skip
 
 
 def scene(bus: Bus, seconds: float) -> dict[str, Any]:
@@ -167,13 +171,13 @@ def made() -> decoder_corpus.Corpus:
     return decoder_corpus.corpus(SEED, seconds, EVENTS_HZ, INSIDE, beacons=BEACONS, bit_rate=BIT_RATE)
 
 
-def publish(way: str, port: int, seconds: float, frames_s: float) -> None:
+def publish(way: str, port: int, seconds: float, frames_s: float, window_us: int) -> None:
     """Be the process that publishes; print what was published as JSON."""
     links = BusLinks(connect=(f"tcp/127.0.0.1:{port}",))
     name = "decoder/decoder" if way == "stand_in" else f"client/{os.getpid()}"
     with connected(client_config(links), "sink", name, Stop()) as bus:
         assert bus is not None
-        told = stand_in(bus, seconds, frames_s) if way == "stand_in" else scene(bus, seconds)
+        told = stand_in(bus, seconds, frames_s, window_us) if way == "stand_in" else scene(bus, seconds)
         # What is on its way must leave before the session does.
         time.sleep(1.0)
         print(json.dumps(told))
@@ -199,7 +203,7 @@ def _is_input(counter: str) -> bool:
     return counter.startswith("received: ") and counter not in {"received: health", "received: ids"}
 
 
-def run(way: str, seconds: float, frames_s: float) -> dict[str, Any]:
+def run(way: str, seconds: float, frames_s: float, window_us: int) -> dict[str, Any]:
     """Return what was published, what was kept, and what the sink said of itself."""
     with tempfile.TemporaryDirectory(prefix="heliograph-bench-") as name:
         folder, port = Path(name), free_port()
@@ -212,8 +216,9 @@ def run(way: str, seconds: float, frames_s: float) -> dict[str, Any]:
                 for kind in kinds:
                     heard.until(lambda h, kind=kind: bool(reports(h, kind)), f"the {kind}", PATIENCE_S)  # type: ignore[misc]
                 command = [sys.executable, __file__, "--publish", way, str(port), "--seconds", str(seconds)]
+                command += ["--frames-s", str(frames_s), "--window-us", str(window_us)]
                 told = subprocess.run(
-                    [*command, "--frames-s", str(frames_s)], check=True, capture_output=True, text=True,
+                    command, check=True, capture_output=True, text=True,
                     timeout=seconds + 3 * PATIENCE_S,
                 )  # fmt: skip
                 published = json.loads(told.stdout.splitlines()[-1])
@@ -227,7 +232,12 @@ def run(way: str, seconds: float, frames_s: float) -> dict[str, Any]:
             host.close()
         finally:
             host.close()
-        return {"seconds": seconds, "published": published} | kept(folder / "metrics.sqlite", heard, published)
+        return {
+            "seconds": seconds,
+            "window_us": window_us,
+            "load_1m": os.getloadavg()[0],
+            "published": published,
+        } | kept(folder / "metrics.sqlite", heard, published)
 
 
 def lost_by_a_kill(seed: int) -> float:
@@ -246,7 +256,7 @@ def lost_by_a_kill(seed: int) -> float:
         return round((n - summarise(folder / "metrics.sqlite").frames) * WINDOW_US / 1e6, 3)
 
 
-def killed(_: float, __: float) -> dict[str, Any]:
+def killed(*_: float) -> dict[str, Any]:
     """Return how much a sink that is killed has lost, time after time."""
     lost_s = [lost_by_a_kill(seed) for seed in range(KILLS)]
     return {"kills": KILLS, "lost_s": {"median": statistics.median(lost_s), "most": max(lost_s), "each": lost_s}}
@@ -274,7 +284,8 @@ def kept(path: Path, heard: Collector, published: dict[str, Any]) -> dict[str, A
     busy = sorted(m.cpu_share for m in of if m.cpu_share > 0)
     return {
         "kept_frames": found.frames,
-        "lost": published["frames"] - found.frames,
+        "late_frames": found.late_frames,
+        "lost": published["frames"] - found.frames - found.late_frames,
         "received": last.get("received: frames", 0),
         "messages_lost": published["messages"] - last.get("received: frames", 0),
         "late": found.late,
@@ -298,11 +309,12 @@ def main() -> int:
     parser.add_argument("ways", nargs="*", metavar="|".join(WAYS), help="all by default")
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--frames-s", type=float, default=10_000.0, help="of the stand-in")
+    parser.add_argument("--window-us", type=int, default=WINDOW_US, help="of the stand-in: 1000 to 5000")
     parser.add_argument("--publish", nargs=2, metavar=("WAY", "PORT"), help=argparse.SUPPRESS)
     parser.add_argument("-o", "--output", type=Path, default=RESULT)
     args = parser.parse_args()
     if args.publish:
-        publish(args.publish[0], int(args.publish[1]), args.seconds, args.frames_s)
+        publish(args.publish[0], int(args.publish[1]), args.seconds, args.frames_s, args.window_us)
         return 0
     if unknown := set(args.ways) - set(WAYS):
         parser.error(f"must be of {', '.join(WAYS)}, not {', '.join(sorted(unknown))}")
@@ -310,7 +322,7 @@ def main() -> int:
     result |= {"evidence": "simulated", "machine": platform.machine(), "python": platform.python_version()}
     lost = 0
     for way in args.ways or WAYS:
-        result[way] = (killed if way == "killed" else partial(run, way))(args.seconds, args.frames_s)
+        result[way] = (killed if way == "killed" else partial(run, way))(args.seconds, args.frames_s, args.window_us)
         lost += result[way].get("lost", 0) + result[way].get("messages_lost", 0)
         print(way, *(f"  {key}: {value}" for key, value in result[way].items()), sep="\n", flush=True)
         args.output.write_text(json.dumps(result, indent=1) + "\n")

@@ -85,6 +85,15 @@ def test_what_comes_after_its_second_is_settled_is_counted_as_late() -> None:
     assert sum(m.counters.get("cam0/late", 0) for m in core.close()) == 1  # type: ignore[attr-defined]
 
 
+@given(st.integers(0, 2**32 - 1), st.integers(SETTLE_US, 2 * UNTIL_US))
+def test_however_late_each_frame_is_counted_once(seed: int, spread_us: int) -> None:
+    chance = random.Random(seed)
+    out, _ = feed_all(core_of(), sorted(SCENE, key=lambda message: message.time_us + chance.randint(0, spread_us)))
+    n = sum(len(message.t_us) for message in SCENE if isinstance(message, Frames))
+    found = [m.counters.get(f"cam0/{name}", 0) for m in out for name in ("frames", "late_frames")]  # type: ignore[attr-defined]
+    assert sum(found) == n
+
+
 def test_silence_finishes_what_waits() -> None:
     core = core_of()
     for message in SCENE:

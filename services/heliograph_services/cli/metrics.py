@@ -79,7 +79,7 @@ def table(found: Summary) -> str:
     """Return a summary for people, at most 80 columns wide."""
     lines = [
         f"{found.file}, run {found.run}: {found.seconds} s of {', '.join(found.cameras) or 'no camera'}",
-        f"  frames {found.frames}, characters {found.characters}, late {found.late}",
+        f"  frames {found.frames}, characters {found.characters}, late {found.late} with {found.late_frames} frames",
     ]
     lines += _counts("refused", found.refused) + _counts("identified", found.identified)
     lines += _counts("missing on the bus", found.missing) + _counts("dropped in queues", found.dropped)

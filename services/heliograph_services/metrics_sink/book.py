@@ -89,7 +89,10 @@ class Book:
         second = _second_of(message)
         if place is Place.STALE or second < self._matched:
             self.late += 1
-            self._count(max(self._matched, _second(clock_us)))("late", 1)
+            count = self._count(max(self._matched, _second(clock_us)))
+            count("late", 1)
+            if isinstance(message, Frames) and message.t_us:
+                count("late_frames", len(message.t_us))
         elif isinstance(message, Frames):
             self._take_frames(message)
         elif isinstance(message, Truth):

@@ -126,6 +126,7 @@ class Sighting(msgspec.Struct, frozen=True):
 class Summary(msgspec.Struct, frozen=True):
     """What one run of the sink has seen. `accuracy` is None where no truth was there; then `mar_estimated` is all.
 
+    `late` messages came after their second was settled; `late_frames`, which they held, are in no other count.
     `block_s` is the length of the blocks of the intervals; `rates` are messages published a second of a process's life,
     by process and topic.
     """
@@ -141,6 +142,7 @@ class Summary(msgspec.Struct, frozen=True):
     refused: dict[str, int]
     identified: dict[str, int]
     late: int
+    late_frames: int
     missing: dict[str, int]
     dropped: dict[str, int]
     rates: dict[str, float]
@@ -198,7 +200,8 @@ def _summarise(connection: sqlite3.Connection, path: str, span: Span) -> Summary
         characters=counts.total["characters"],
         refused=dict(sorted(counts.by_kind["refused"].items())),
         identified=dict(sorted(counts.by_kind["identified"].items())),
-        late=counts.total["late"] + counts.total["late_frames"],
+        late=counts.total["late"],
+        late_frames=counts.total["late_frames"],
         missing=process_numbers(connection, span, "missing: "),
         dropped=process_numbers(connection, span, "dropped: "),
         rates=_rates(connection, span, levels),
