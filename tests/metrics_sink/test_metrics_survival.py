@@ -164,8 +164,7 @@ class SmallDisk:
 
     def remount(self, how: str) -> None:
         """Make it writable (rw)."""
-        enter = ["nsenter", "-t", str(self._pid), "--user", "--preserve-credentials", "--mount"]
-        subprocess.run([*enter, "mount", "-o", f"remount,{how}", str(self._kept)], check=True, capture_output=True)
+        self._enter("mount", "-o", f"remount,{how}", str(self._kept))
 
     def fill(self) -> None:
         """Take all the room that is left."""
@@ -179,6 +178,15 @@ class SmallDisk:
     def empty(self) -> None:
         """Give it back."""
         (self.inside / "filler").unlink()
+
+    def copy(self, name: str, to: Path) -> None:
+        """Copy a database out of it. SQLite itself resolves `/proc/PID/root` to `/`, the folder outside: it goes in."""
+        script = "import sqlite3, sys; sqlite3.connect(sys.argv[1]).backup(sqlite3.connect(sys.argv[2]))"
+        self._enter(sys.executable, "-c", script, str(self._kept / name), str(to))
+
+    def _enter(self, *command: str) -> None:
+        enter = ["nsenter", "-t", str(self._pid), "--user", "--preserve-credentials", "--mount"]
+        subprocess.run([*enter, *command], check=True, capture_output=True)
 
 
 @pytest.mark.processes
@@ -206,11 +214,7 @@ def test_a_disk_that_is_read_only_and_then_full_is_told_once_each_survived_and_c
             done = counters(heard)["store: rows"]
             heard.until(lambda h: counters(h)["store: rows"] > done + 10, "and their rows")
             # When it ends, so does its namespace, and the file.
-            with (
-                contextlib.closing(sqlite3.connect(disk.inside / "metrics.sqlite")) as its,
-                contextlib.closing(sqlite3.connect(copy)) as ours,
-            ):
-                its.backup(ours)
+            disk.copy("metrics.sqlite", copy)
             assert counters(heard)["store: rows lost"] == 0
         assert host.close() == {"metrics_sink": 0, "router": 0}
     finally:
