@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -54,7 +55,8 @@ class Host:
         log = (self.folder / f"{self.path.stem}-{kind}.log").open("ab")
         self._logs.append(log)
         command = [sys.executable, "-m", module, "--site", str(self.path), *arguments]
-        environment = os.environ | {PARENT_VARIABLE: "1"}
+        # Where one of its threads stands is told in its log if it does not stop.
+        environment = os.environ | {PARENT_VARIABLE: "1", "PYTHONFAULTHANDLER": "1"}
         self.processes[kind] = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=environment, cwd=self.folder
         )
@@ -96,7 +98,7 @@ class Host:
             try:
                 statuses[kind] = process.wait(15)
             except subprocess.TimeoutExpired:
-                process.kill()
+                process.send_signal(signal.SIGABRT)
                 statuses[kind] = process.wait()
         for log in self._logs:
             log.close()
