@@ -7,9 +7,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-import study_link
-import study_static_link
-
 RESULTS = Path(__file__).parent / "results"
 HOPS = ("half bit", "batch", "source", "bus", "wait", "decode", "publish", "subscriber", "whole")
 
@@ -25,19 +22,6 @@ def table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
 def _stored(name: str) -> Any:
     path = RESULTS / name
     return json.loads(path.read_text()) if path.is_file() else None
-
-
-def static_section() -> str:
-    """Still beacons, beside the genie."""
-    path = RESULTS / "static_link.jsonl"
-    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
-    return study_static_link.page(rows) + "\n" if rows else ""
-
-
-def moving_section() -> str:
-    """Moving beacons, beside the genie."""
-    stored = _stored("link_moving.json")
-    return study_link.page(study_link.summary(stored["rows"])) + "\n" if stored else ""
 
 
 def packet_section() -> str:
@@ -146,37 +130,6 @@ def latency_section() -> str:
     return out
 
 
-def repeaters_section() -> str:
-    """Lights that repeat themselves in step with a word, and how many were told; of its releases the newest alone."""
-    path = RESULTS / "false_alarms.jsonl"
-    stored = [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
-    mine = [row for row in stored if row["part"] == "repeaters" and row["release"] == stored[-1]["release"]]
-    lines = []
-    for protocol, rate in dict.fromkeys((row["protocol"], row["rate"]) for row in mine):
-        rows = [row for row in mine if (row["protocol"], row["rate"]) == (protocol, rate)]
-        n, read, square = (sum(row[name] for row in rows) for name in ("candidates", "read", "square"))
-        told = sum(len(row["told"]) for row in rows)
-        lines.append((protocol, rate, n, read, square, told, f"< {3.0 / n:.1e}" if not told else f"{told / n:.1e}"))
-    if not lines:
-        return ""
-    head = ("protocol", "bit/s", "lights", "read as a word", "square waves", "told", "a light")
-    return (
-        "### Lights that repeat themselves\n\n`bench/repeaters.py`: flashes, PWM and foreign words whose period is that"
-        " of a word or a whole part of it. *Read*: as many equal frames as an identity takes, or more. *Square waves*:"
-        " told as a payload that any PWM of that period is. Evidence: simulated, as events of a track.\n\n"
-        + table(head, lines)
-        + "\n"
-    )
-
-
 def sections() -> list[Callable[[], str]]:
     """Return what writes the sections, in their order."""
-    return [
-        recordings_section,
-        static_section,
-        moving_section,
-        packet_section,
-        cost_section,
-        latency_section,
-        repeaters_section,
-    ]
+    return [recordings_section, packet_section, cost_section, latency_section]

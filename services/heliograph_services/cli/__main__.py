@@ -29,6 +29,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "codebook": ("heliograph_services.cli.codebook", "list, show and generate codebooks"),
     "doctor": ("heliograph_services.cli.doctor", "check this machine, and a site file"),
     "bench": ("heliograph_services.cli.bench", "measure this machine on a stated corpus"),
+    "evaluate": ("heliograph_services.cli.evaluate", "make the paper's figures and tables, beside ours"),
 }
 # These subcommands share a module and are told apart by their own name.
 _SHARED: Final = ("up", "down", "status")

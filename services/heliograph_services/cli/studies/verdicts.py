@@ -61,12 +61,14 @@ class Verdicts:
 
     Args:
         outcome: (n,) int8, MISSING, RIGHT or WRONG.
+        payload: (n,) int64, as read; -1 where MISSING.
         off_px: (n,) float64, between the place published with the frame and the true one; nan where MISSING.
         published: frames published in the time of the frames that count.
         insertions: of them, those without a match.
     """
 
     outcome: npt.NDArray[np.int8]
+    payload: Longs
     off_px: Floats
     published: int
     insertions: int
@@ -112,15 +114,17 @@ def verdicts(sent: Sent, frames: Sequence[Frames], paths: TruePaths) -> Verdicts
     payload = np.array([v for one in frames for v in one.payload], np.int64)
     protocol = [v for one in frames for v in one.protocol]
     outcome, off_px = np.zeros(len(sent.t1_us), np.int8), np.full(len(sent.t1_us), np.nan)
+    told = np.full(len(sent.t1_us), -1, np.int64)
     matched = np.zeros(len(t_us), np.bool_)
     if len(t_us) and len(sent.t1_us):
         for j, i, away in _matches(sent, t_us, x_px, y_px, protocol, paths):
             outcome[i] = RIGHT if payload[j] == sent.payload[i] else WRONG
             off_px[i] = away
+            told[i] = payload[j]
             matched[j] = True
     counted = sent.t1_us[sent.visible]
     inside = (t_us >= counted.min()) & (t_us <= counted.max()) if len(counted) else np.zeros(len(t_us), np.bool_)
-    return Verdicts(outcome, off_px, int(inside.sum()), int((inside & ~matched).sum()))
+    return Verdicts(outcome, told, off_px, int(inside.sum()), int((inside & ~matched).sum()))
 
 
 def tracked(sent: Sent, tracks: Sequence[Tracks], paths: TruePaths, *, carried: bool = True) -> Flags:

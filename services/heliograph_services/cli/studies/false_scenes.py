@@ -8,13 +8,13 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from heard import Signal, heard
 
 from heliograph.events import EventBatch, concatenate
 from heliograph.messages import Data as Said
 from heliograph.messages import Frames, Identification, Message, Tracks
 from heliograph.streams import Events
 from heliograph_services.cli.pipeline import ONE_PROCESS, Pipeline
+from heliograph_services.cli.studies.heard import Signal, heard
 from heliograph_services.cli.studies.running import Setting, opened, run
 from heliograph_services.decoder.config import DecoderConfig
 from heliograph_services.decoder.core import make_core as make_decoder
@@ -25,7 +25,7 @@ from heliograph_services.event_source.stream import SourceStream, open_stream
 from heliograph_services.tracker.config import TrackerConfig
 from heliograph_services.tracker.core import make_core as make_tracker
 
-SCENES = Path(__file__).parents[2] / "shared" / "data" / "scenes"
+SCENES = Path(__file__).parents[5] / "shared" / "data" / "scenes"
 RECORDED = "mains_flicker_640x480_evt3.raw"
 # A square with fewer events in its two seconds has no light in it.
 EVENTS_LEAST = 300
@@ -55,8 +55,7 @@ def scene_whole(configs: dict[str, DecoderConfig]) -> dict[str, Any]:
         messages = pipeline.feed(step.messages)
         out[first[0]].take(messages)
         told = [message for message in messages if isinstance(message, Tracks)]
-        for message in told:
-            tracks.update(message.track)
+        tracks.update(name for message in told for name in message.track)
         events = [message for message in step.messages if isinstance(message, Events)]
         duration_us += sum(message.t1_us - message.t0_us for message in events)
         for name, decoder in decoders.items():

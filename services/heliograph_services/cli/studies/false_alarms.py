@@ -1,63 +1,56 @@
-"""Who is named where nobody is, and who is named for another: false alarms and confusions of every protocol and rate.
+"""Study 7: who is named where nobody is, and who is named for another: false alarms and confusions.
 
-    python bench/study_false_alarms.py PART ...      scene clutter lights clocked strangers repeaters crowd
+Parts; each is one or more cells:
 
-Parts; each is one or more cells, a JSON line each in bench/results/false_alarms.jsonl, run once and kept:
-
-- `scene`: the recorded flicker of a room without a beacon, through source, tracker and every reader's decoder; and, as
-  the tracker finds no candidate there, squares of 32 and 96 px of it, each as though it were a track.
-- `clutter`: the scenario of that name, pixel by pixel: what the decoder hears of each track (bench/heard.py), read by
-  every reader; at most 20,000 bits of each track.
-- `lights`: lights of the same kinds at the level of a track's events (bench/false_lights.py), fresh parameters each. A
-  camera has 32; `--hours` of it for each protocol, shared over its bit rates so that each hears as many bits.
-- `clocked`: random bits at each reader's own clock, `--minutes` a protocol and bit rate.
+- `scene`: the recorded flicker of a room without a beacon (HELIOGRAPH_SCENE_DATA names its folder), through source,
+  tracker and every reader's decoder; and, as the tracker finds no candidate there, squares of 32 and 96 px of it, each
+  as though it were a track.
+- `clutter`: the scenario of that name, pixel by pixel: what the decoder hears of each track (`heard`), read by every
+  reader; at most 20,000 bits of each track.
+- `lights`: lights of the same kinds at the level of a track's events (`false_lights`), fresh parameters each. A camera
+  has 32; HOURS of it for each protocol, shared over its bit rates so that each hears as many bits.
+- `clocked`: random bits at each reader's own clock.
 - `strangers`: beacons of every protocol, read by all other protocols at their bit rate and those about it, and by
   `auto`, which must say nothing but what is sent.
-- `repeaters`: lights that repeat themselves in step with a word of the cyclic codes (bench/repeaters.py).
 - `crowd`: a hundred beacons, through the whole system, named right or not; and what tracks of a crowd say to the
   readers of other protocols.
 
 A reader is a protocol at a bit rate, or `auto` for one or both, as a site without listed beacons has it; `frequency`,
 which is read only where listed, listens for one frequency. Lamps within 1 % of that are left out there: by the nature
-of the protocol they are that beacon. Told are identities and texts. Seeds come from the name of the cell and
-`--release`. Evidence: `recording` (scene), `simulated` (the rest). Nothing is tuned on these runs. The CPU time of each
-cell is in its line; `bench/make_results.py` writes the page. Cost on one core, measured on
-a busy machine: `strangers` 3 min a chunk, `crowd` 10 s a camera second; estimated from single readers: `scene` 2 min,
-`clocked` half an hour, `lights` an hour for a camera-hour of all protocols.
+of the protocol they are that beacon. Told are identities and texts. Nothing is tuned on these runs. The hours are what
+a full run's time allows: nothing found in T bounds a rate at 3 / T with 95 %, and every row says its T.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
-import zlib
 from collections.abc import Iterator
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from false_lights import CAMERA, LIGHTS, Seen, beacon, light, watched
-from false_scenes import clutter, crowd, crowd_heard, scene_regions, scene_whole
-from heard import Signal, listen
-from repeaters import repeaters_row
 
-from heliograph.errors import ConfigError
 from heliograph.link.bitrate import likely_bit_rates
+from heliograph_services.cli.studies.false_alarm_tables import tables
+from heliograph_services.cli.studies.false_lights import CAMERA, LIGHTS, Seen, beacon, light, watched
+from heliograph_services.cli.studies.false_scenes import clutter, crowd, crowd_heard, scene_regions, scene_whole
+from heliograph_services.cli.studies.heard import Signal, listen
+from heliograph_services.cli.studies.study import Cell, Counts, Parameters, Size, Study
 from heliograph_services.decoder.config import AUTO, DecoderConfig
-from heliograph_services.decoder.links import LinkPlan
+from heliograph_services.decoder.link_plan import LinkPlan
 from heliograph_services.decoder.routing import HEART_OF
 
-RESULT = Path(__file__).parent / "results" / "false_alarms.jsonl"
-NAME = "false_alarms/1"
+# A full run: camera-hours a protocol; minutes a protocol and bit rate; camera seconds and chunks of the others.
+HOURS = 0.3
+MINUTES = 1.0
+CLUTTER_CHUNKS = 2
+STRANGERS_CHUNKS = 1
+CROWD_S = 30.0
 RATES: tuple[float, ...] = (50, 100, 250, 500, 1000, 2000, 2500, 3125, 5000, 10_000, 20_000)
 # 130 Hz to 10 kHz, twice; none near the mains' harmonics.
 BLINK_RATES: tuple[float, ...] = (260, 500, 900, 2500, 3000, 5000, 10_000, 16_400, 20_000)
 FAST: dict[str, tuple[float, ...]] = {"ook_fast": (30_000, 60_000), "event_interval": (30_000, 100_000)}
 PROTOCOLS = ("seed11", "code", "uart", "pulse_interval", "frequency", "event_interval", "packet", "ook_fast")
-REPEATED_RATES: tuple[float, ...] = (100, 500, 1000, 2000, 2500, 5000, 10_000)
-PARTS = ("scene", "clutter", "lights", "clocked", "strangers", "repeaters", "crowd")
 BITS_MOST = 20_000
 LAMP_SHARE = 0.01
 Reader = tuple[str, float | str]
@@ -191,33 +184,42 @@ def _only(told: dict[str, Any], speaker: str) -> bool:
     return all(any(one.startswith(want) for want in wanted) for one in told["identities"])
 
 
-def cells(part: str, arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
+def cells(size: Size) -> list[Parameters]:
+    """Return all cells."""
+    if size == "quick":
+        return [
+            {"part": "strangers", "speaker": "code", "rate": 1000, "seconds": 1.0, "beacons": 1, "chunk": 0},
+            {"part": "lights", "protocol": "seed11", "rate": 1000, "seconds": 2.0, "chunk": 0},
+        ]
+    return [cell for part in PARTS for cell in cells_of(part)]
+
+
+PARTS = ("scene", "clutter", "lights", "clocked", "strangers", "crowd")
+
+
+def cells_of(part: str) -> Iterator[Parameters]:
     """Yield the cells of a part."""
-    chunks = range(arguments.chunks)
     if part == "scene":
         yield {"part": part}
         yield from ({"part": part, "side_px": side} for side in (32, 96))
     elif part == "clutter":
-        yield from ({"part": part, "chunk": i, "seconds": 3.0} for i in chunks)
+        yield from ({"part": part, "chunk": i, "seconds": 3.0} for i in range(CLUTTER_CHUNKS))
     elif part == "lights":
         for protocol in [*PROTOCOLS, AUTO]:
-            yield from _shared(part, protocol, arguments.hours if protocol != AUTO else arguments.hours / 100.0)
+            yield from _shared(part, protocol, HOURS if protocol != AUTO else HOURS / 100.0)
     elif part == "clocked":
-        yield from _clocked_cells(part, arguments.minutes * 60.0)
+        yield from _clocked_cells(part, MINUTES * 60.0)
     elif part == "strangers":
         spoken = dict.fromkeys(PROTOCOLS, (250, 1000, 5000)) | {"frequency": BLINK_RATES[1::3]}
-        for i, (speaker, rates) in product(chunks, spoken.items()):
+        for i, (speaker, rates) in product(range(STRANGERS_CHUNKS), spoken.items()):
             for rate in rates:
                 yield {"part": part, "speaker": speaker, "rate": rate, "seconds": 2.0, "beacons": 3, "chunk": i}
-    elif part == "repeaters":
-        for i, protocol, rate in product(chunks, ("seed11", "code"), (*REPEATED_RATES, AUTO)):
-            yield {"part": part, "protocol": protocol, "rate": rate, "lights": 250, "chunk": i}
     elif part == "crowd":
-        yield from ({"part": part, "chunk": i, "seconds": arguments.crowd_s} for i in chunks)
-        yield from ({"part": "crowd heard", "chunk": i, "seconds": 1.0} for i in chunks)
+        yield {"part": part, "chunk": 0, "seconds": CROWD_S}
+        yield {"part": "crowd heard", "chunk": 0, "seconds": 1.0}
 
 
-def _clocked_cells(part: str, wanted_s: float) -> Iterator[dict[str, Any]]:
+def _clocked_cells(part: str, wanted_s: float) -> Iterator[Parameters]:
     for protocol in PROTOCOLS:
         for rate in rates_of(protocol):
             seconds = min(60.0, 120_000.0 / rate, wanted_s)
@@ -225,7 +227,7 @@ def _clocked_cells(part: str, wanted_s: float) -> Iterator[dict[str, Any]]:
                 yield {"part": part, "protocol": protocol, "rate": rate, "seconds": seconds, "chunk": i}
 
 
-def _shared(part: str, protocol: str, hours: float) -> Iterator[dict[str, Any]]:
+def _shared(part: str, protocol: str, hours: float) -> Iterator[Parameters]:
     """Share the hours of a camera over the rates, as many bits each."""
     rates: tuple[float | str, ...] = rates_of(protocol) if protocol != AUTO else (1000.0, AUTO)
     weights = np.array([1.0 / rate if not isinstance(rate, str) else 1e-3 for rate in rates])
@@ -235,8 +237,9 @@ def _shared(part: str, protocol: str, hours: float) -> Iterator[dict[str, Any]]:
             yield {"part": part, "protocol": protocol, "rate": rate, "seconds": seconds, "chunk": i}
 
 
-def row_of(cell: dict[str, Any], seed: int) -> dict[str, Any]:
+def run(one: Cell) -> Counts:
     """Run a cell."""
+    cell, seed = one.parameters, one.seed
     part = cell["part"]
     if part == "scene":
         if "side_px" not in cell:
@@ -251,50 +254,21 @@ def row_of(cell: dict[str, Any], seed: int) -> dict[str, Any]:
         return {"readers": by_reader(crowd_heard(cell["seconds"], seed), near)}
     if part == "strangers":
         return {"readers": strangers_row(cell, seed)}
-    if part == "repeaters":
-        rate = None if cell["rate"] == AUTO else cell["rate"]
-        return repeaters_row(plan((cell["protocol"], cell["rate"])), cell["protocol"], rate, cell["lights"], seed)
     return lights_row(cell, seed)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("parts", nargs="+", choices=PARTS)
-    parser.add_argument("--hours", type=float, default=3.0, help="lights: camera-hours a protocol")
-    parser.add_argument("--minutes", type=float, default=10.0, help="clocked: a protocol and rate")
-    parser.add_argument("--chunks", type=int, default=1, help="clutter, strangers, repeaters, crowd: how many")
-    parser.add_argument("--crowd-s", type=float, default=30.0, help="crowd: camera seconds")
-    parser.add_argument(
-        "--only", nargs="+", default=[*PROTOCOLS, AUTO], help="lights, clocked, repeaters: these protocols"
-    )
-    parser.add_argument("--budget", type=float, default=1e9, help="CPU seconds, then it stops: start it again")
-    parser.add_argument("--release", default="development", help="what the seeds are derived from")
-    parser.add_argument("-o", type=Path, default=RESULT)
-    arguments = parser.parse_args()
-    known = [json.loads(line) for line in arguments.o.read_text().splitlines()] if arguments.o.is_file() else []
-    done = {one["cell"] for one in known if one["release"] == arguments.release}
-    with arguments.o.open("a") as out:
-        for part in arguments.parts:
-            for cell in cells(part, arguments):
-                key = " ".join(f"{name}={value}" for name, value in cell.items())
-                if key in done or cell.get("protocol", arguments.only[0]) not in arguments.only:
-                    continue
-                if time.process_time() > arguments.budget:
-                    print("stopped by --budget: start again")
-                    return
-                began = time.process_time()
-                try:
-                    row = row_of(cell, zlib.crc32(f"{NAME} {arguments.release} {key}".encode()))
-                except ConfigError as error:
-                    raise SystemExit(f"{key}: {error}") from None
-                took = round(time.process_time() - began, 2)
-                line = {"study": NAME, "release": arguments.release, "cell": key, **cell, **row, "cpu_s": took}
-                out.write(json.dumps(line) + "\n")
-                out.flush()
-                alarms = row.get("told") or [name for name, one in row.get("readers", {}).items() if one["told"]]
-                if alarms:
-                    print(key, alarms, flush=True)
-
-
-if __name__ == "__main__":
-    main()
+STUDY = Study(
+    name="false_alarms",
+    version=2,
+    title="False alarms and confusions",
+    about=(
+        "Everything that blinks and is no beacon: a recorded room, clutter pixel by pixel and at the level of tracks,"
+        " random bits at the reader's own clock; beacons of other protocols; a crowd. Told are identities and texts. A"
+        " bound is what nothing found excludes with 95 %: 3 / T."
+    ),
+    preset="dvxplorer_mini (VARIABLE_5000); lights of tracks: scans of 65 and 199 us and none",
+    evidence="simulated",
+    cells=cells,
+    run=run,
+    tables=tables,
+)

@@ -1,0 +1,33 @@
+"""The studies of `heliograph evaluate`: a table of modules, each imported only when it is asked for."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Final
+
+from heliograph.errors import ConfigError
+from heliograph_services.cli.studies.study import Study
+
+# In the order of docs/results.md.
+STUDIES: Final[dict[str, str]] = {
+    "bit_rate": "MAR of a still beacon at 50 cm over its bit rate, in every read-out mode",
+    "distance": "MAR over distance, two lenses, indoors and in the sun; R95",
+    "moving": "the table of moving beacons: simulated camera, with and without flow; 2 m/s at 5 and 16 m",
+    "methods": "the table of methods on one scene: throughput, goodput, tracking, range",
+    "recordings": "characters of real recordings, thinned",
+    "false_alarms": "false alarms and confusions: clutter, noise, a real scene, crowds",
+    "crowd_size": "1 to 200 beacons at once",
+}
+_PACKAGE: Final = "heliograph_services.cli.studies"
+
+
+def load(name: str) -> Study:
+    """Return a study.
+
+    Raises:
+        ConfigError: there is none of that name.
+    """
+    if name not in STUDIES:
+        raise ConfigError(f"a study must be one of {', '.join(STUDIES)}, not {name!r}")
+    study: Study = import_module(f"{_PACKAGE}.{name}").STUDY
+    return study

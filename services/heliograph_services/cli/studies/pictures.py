@@ -1,0 +1,62 @@
+"""Plots of studies (matplotlib, `heliograph[analysis]`)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from heliograph.errors import FileError
+from heliograph_services.cli.studies.study import Panel
+
+
+def can_draw() -> bool:
+    """Return whether matplotlib is there."""
+    try:
+        import matplotlib as mpl  # noqa: PLC0415 - an extra
+    except ImportError:
+        return False
+    return bool(mpl.__version__)
+
+
+def draw(panels: Sequence[Panel], path: Path) -> None:
+    """Write a plot, one panel beside the other.
+
+    Raises:
+        FileError: it cannot be written.
+    """
+    import matplotlib as mpl  # noqa: PLC0415 - an extra
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt  # noqa: PLC0415
+
+    figure, axes = plt.subplots(1, len(panels), figsize=(6.2 * len(panels), 4.4), squeeze=False)
+    for axis, panel in zip(axes[0], panels, strict=True):
+        _panel(axis, panel)
+    figure.tight_layout()
+    beside = path.with_name(f"{path.stem}.part.png")
+    try:
+        # Without a date or a version the same figures make the same bytes.
+        figure.savefig(beside, dpi=110, metadata={"Software": None})
+        os.replace(beside, path)  # noqa: PTH105 - at once
+    except OSError as error:
+        raise FileError(f"{path}: cannot be written: {error.strerror or error}") from None
+    finally:
+        plt.close(figure)
+
+
+def _panel(axis: Any, panel: Panel) -> None:
+    for curve in panel.curves:
+        if curve.x:
+            (line,) = axis.plot(curve.x, curve.y, "o-", ms=3, label=curve.name)
+            if curve.low:
+                axis.fill_between(curve.x, curve.low, curve.high, color=line.get_color(), alpha=0.15)
+    for x, y, what in panel.quoted:
+        axis.plot([x], [y], "k*", ms=9, label=what)
+    if panel.log_x:
+        axis.set_xscale("log")
+    axis.set(title=panel.title, xlabel=panel.x_label, ylabel=panel.y_label)
+    axis.grid(alpha=0.3)
+    if panel.curves or panel.quoted:
+        axis.legend(fontsize=7)
