@@ -179,6 +179,15 @@ def test_cells_are_the_same_on_two_cores() -> None:
     assert len(alone) == 12
 
 
+def test_recordings_that_are_not_here_are_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("HELIOGRAPH_BEACON_DATA", str(tmp_path))
+    assert main(["evaluate", "recordings", "--out", str(tmp_path / "out")]) == 2
+    assert "no sonnet.txt, 504hz_100m.mat, 3125hz_30m.mat; not shipped" in only_line(capsys)
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_list_names_every_study(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["evaluate", "list"]) == 0
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(STUDIES)

@@ -14,11 +14,21 @@ from heliograph.edits import edits
 from heliograph.errors import ConfigError
 from heliograph.link.contract import edges_of
 from heliograph.link.uart_layout import text_bits
-from heliograph_services.cli.studies import bit_rate, contest, crowd_size, distance, methods, recordings
+from heliograph_services.cli.studies import (
+    bit_rate,
+    contest,
+    crowd_size,
+    distance,
+    methods,
+    recordings,
+    sunlight,
+    wavelength,
+)
 from heliograph_services.cli.studies.catalogue import load
 from heliograph_services.cli.studies.contest import Scene, counts, watch
 from heliograph_services.cli.studies.study import Cell, Done, worse_than
 from heliograph_services.cli.studies.windows_rule import read_windows
+from heliograph_services.event_source.simulation.stream import SceneStream
 from heliograph_services.event_source.simulation.world.load import load_scenario
 
 PEER = "heliograph_services.cli.studies.peers:paper"
@@ -118,3 +128,41 @@ def test_first_k_keeps_the_beginning_of_every_burst() -> None:
     assert left.tolist() == [0, 2, 1000]
     assert kept.tolist() == [True, False, False]
     assert len(recordings.thinned(t_us, on, "at random", 1.0, 1000.0, 0)[0]) == 7
+
+
+def test_sunlight_is_that_of_the_standard_and_an_led_s_power_comes_out() -> None:
+    # ASTM G173-03 (global), 350 to 1125 nm, integrated with the standard's own steps: 798.5 W/m2.
+    assert np.trapezoid(sunlight.AM15G_W_M2_NM, sunlight.wavelengths_nm()) == pytest.approx(798.5, rel=2e-3)
+    # Away from absorption lines a mean over 25 nm is the value there.
+    assert np.interp(660.0, sunlight.wavelengths_nm(), sunlight.AM15G_W_M2_NM) == pytest.approx(1.399, rel=0.01)
+    theta = np.linspace(0.0, np.pi / 2, 20_001)
+    for half_angle in (5.0, 20.0, 60.0):
+        on_axis = sunlight.intensity_w_sr(1.0, half_angle)
+        m = np.log(0.5) / np.log(np.cos(np.radians(half_angle)))
+        ring = on_axis * np.cos(theta) ** m * 2.0 * np.pi * np.sin(theta)
+        assert np.trapezoid(ring, theta) == pytest.approx(1.0, abs=1e-4)
+
+
+def test_the_contrast_of_the_study_is_that_of_the_simulated_image(tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    led, band, distance_m = 0.3, 120.0, 40.0
+    path.write_text(
+        f'irradiance_w_m2 = {band}\n[camera]\nsensor = "dvxplorer_mini"\n'
+        f'path = {{ kind = "still", at_m = [0, 0, {distance_m}] }}\nlens = {{ focal_mm = 16.0, f_number = 1.4 }}\n'
+        f'[[beacon]]\nname = "a"\nprotocol = "seed11"\nfresh = true\nbit_rate = 1000\nintensity_w_sr = {led}\n'
+        'diameter_m = 0.001\npath = { kind = "still", at_m = [0, 0, 0] }\n'
+    )
+    scene = SceneStream(load_scenario(str(path)), 0, "live")
+    where = scene.world.chunk_geometry(0)
+    ground = scene.world.optics.background_w_m2(scene.world.scenario.ground.reflectance, band)
+    peak = float(where.flux_w_m2[0, 0] / (2.0 * np.pi * where.sigma_px[0, 0] ** 2))
+    told = sunlight.contrast(led, band, distance_m, 16.0, wavelength.SIGMA_PX)
+    assert told == pytest.approx(peak / ground, rel=0.1)
+
+
+def test_850_and_940_nm_change_places_with_the_responsivity() -> None:
+    def reach(curve: str, nm: float, *, filtered: bool) -> float:
+        return wavelength.reach_m({"curve": curve, "filter": filtered, "sun_w_m2": 1000.0, "led_nm": nm}, 20.0)
+
+    assert reach("photovoltaic", 940.0, filtered=True) > reach("photovoltaic", 850.0, filtered=True)
+    assert reach("cmos", 850.0, filtered=False) > reach("cmos", 940.0, filtered=False)

@@ -14,12 +14,15 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from heliograph import __version__
 from heliograph.errors import ConfigError, FileError
 from heliograph_services.cli.studies.catalogue import STUDIES, load
 from heliograph_services.cli.studies.study import Cell, Size, Study
+
+if TYPE_CHECKING:
+    from heliograph_services.cli.studies.stored import Book
 
 LIST: Final = "list"
 
@@ -96,7 +99,7 @@ def evaluate(
 
     Raises:
         ConfigError: cells are there without `resume`, or of another release, size or code; no such peer.
-        FileError: the folder cannot be written, or a file in it is broken.
+        FileError: the folder cannot be written, a file in it is broken, or a study's data are not here.
     """
     from heliograph_services.cli.bench import this_machine  # noqa: PLC0415 - not needed for --help
     from heliograph_services.cli.studies.peers import factory_of  # noqa: PLC0415
@@ -105,7 +108,7 @@ def evaluate(
 
     for peer in peers:
         factory_of(peer)
-    studies = [load(name) for name in names]
+    studies = _runnable(names)
     cells = {
         study.name: [_with(cell, peers if study.plugs else ()) for cell in study.all_cells(size, release)]
         for study in studies
@@ -129,6 +132,20 @@ def evaluate(
     return 0
 
 
+def _runnable(names: Sequence[str]) -> list[Study]:
+    """Return the studies, without those whose data are not here where all were asked for."""
+    out = []
+    for study in map(load, names):
+        why = study.missing() if study.missing is not None else ""
+        if why and len(names) < len(STUDIES):
+            raise FileError(f"study {study.name}: {why}")
+        if why:
+            print(f"left out: study {study.name}: {why}", file=sys.stderr)
+        else:
+            out.append(study)
+    return out
+
+
 def _with(cell: Cell, peers: Sequence[str]) -> Cell:
     """Return a cell that peers read too, where it has readers and every frame is new."""
     arms = cell.parameters.get("arms")
@@ -137,12 +154,10 @@ def _with(cell: Cell, peers: Sequence[str]) -> Cell:
     return Cell(cell.parameters | {"arms": [*arms, *peers]}, cell.seed)
 
 
-def _finish(study: Study, book: object, cells: Sequence[Cell], out: Path, *, as_json: bool) -> None:
+def _finish(study: Study, book: Book, cells: Sequence[Cell], out: Path, *, as_json: bool) -> None:
     from heliograph_services.cli.studies.pictures import can_draw, draw  # noqa: PLC0415
-    from heliograph_services.cli.studies.stored import Book, result_of, write_result  # noqa: PLC0415
+    from heliograph_services.cli.studies.stored import result_of, write_result  # noqa: PLC0415
 
-    if not isinstance(book, Book):
-        raise TypeError("a study's cells must be in a Book")
     result = result_of(study, book, cells)
     path = out / f"{study.name}.json"
     write_result(path, result)

@@ -14,6 +14,7 @@ STUDIES: Final[dict[str, str]] = {
     "distance": "MAR over distance, two lenses, indoors and in the sun; R95",
     "moving": "the table of moving beacons: simulated camera, with and without flow; 2 m/s at 5 and 16 m",
     "methods": "the table of methods on one scene: throughput, goodput, tracking, range",
+    "wavelength": "LED wavelength and half angle over range and solar irradiance",
     "recordings": "characters of real recordings, thinned",
     "false_alarms": "false alarms and confusions: clutter, noise, a real scene, crowds",
     "crowd_size": "1 to 200 beacons at once",

@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 
 from heliograph_services.cli.studies import contest
-from heliograph_services.cli.studies.bit_rate import ARMS, curve, letters
+from heliograph_services.cli.studies.bit_rate import curve, letters
 from heliograph_services.cli.studies.contest import Scene
 from heliograph_services.cli.studies.link_scenes import F_NUMBERS
 from heliograph_services.cli.studies.study import (
@@ -34,6 +34,7 @@ from heliograph_services.cli.studies.study import (
     Table,
 )
 
+ARMS: Final = {"fresh": ["ours", *contest.EARS], "repeats": ["paper"], "text": ["ours", "wang2022"]}
 DISTANCES_M: Final = (0.5, 1.0, 2.0, 5.0, 11.5, 16.0, 30.0, 50.0, 75.0, 100.0)
 LENSES_MM: Final = (3.6, 16.0)
 RATES: Final = (100.0, 1000.0, 2500.0)

@@ -33,7 +33,14 @@ import numpy as np
 from heliograph.link.bitrate import likely_bit_rates
 from heliograph_services.cli.studies.false_alarm_tables import tables
 from heliograph_services.cli.studies.false_lights import CAMERA, LIGHTS, Seen, beacon, light, watched
-from heliograph_services.cli.studies.false_scenes import clutter, crowd, crowd_heard, scene_regions, scene_whole
+from heliograph_services.cli.studies.false_scenes import (
+    clutter,
+    crowd,
+    crowd_heard,
+    is_recorded,
+    scene_regions,
+    scene_whole,
+)
 from heliograph_services.cli.studies.heard import Signal, listen
 from heliograph_services.cli.studies.study import Cell, Counts, Parameters, Size, Study
 from heliograph_services.decoder.config import AUTO, DecoderConfig
@@ -185,13 +192,13 @@ def _only(told: dict[str, Any], speaker: str) -> bool:
 
 
 def cells(size: Size) -> list[Parameters]:
-    """Return all cells."""
+    """Return all cells; those of the recorded scene where it is at hand."""
     if size == "quick":
         return [
             {"part": "strangers", "speaker": "code", "rate": 1000, "seconds": 1.0, "beacons": 1, "chunk": 0},
             {"part": "lights", "protocol": "seed11", "rate": 1000, "seconds": 2.0, "chunk": 0},
         ]
-    return [cell for part in PARTS for cell in cells_of(part)]
+    return [cell for part in PARTS if part != "scene" or is_recorded() for cell in cells_of(part)]
 
 
 PARTS = ("scene", "clutter", "lights", "clocked", "strangers", "crowd")

@@ -31,6 +31,11 @@ RECORDED = "mains_flicker_640x480_evt3.raw"
 EVENTS_LEAST = 300
 
 
+def is_recorded() -> bool:
+    """Return whether the recorded scene is there."""
+    return (Path(os.environ.get("HELIOGRAPH_SCENE_DATA", SCENES)) / RECORDED).is_file()
+
+
 def recorded() -> SourceStream:
     """Open the recorded scene.
 

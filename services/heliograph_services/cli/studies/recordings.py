@@ -86,6 +86,12 @@ def folder() -> Path:
     return Path(os.environ.get("HELIOGRAPH_BEACON_DATA", beside))
 
 
+def missing() -> str:
+    """Return why the study cannot be run here."""
+    away = [name for name in ("sonnet.txt", *(f"{name}.mat" for name in RECORDINGS)) if not (folder() / name).is_file()]
+    return f"{folder()}: no {', '.join(away)}; not shipped (HELIOGRAPH_BEACON_DATA names their folder)" if away else ""
+
+
 @cache
 def recording(name: str) -> tuple[Times, Flags, str]:
     """Return times, polarities and the text of the whole pass.
@@ -285,4 +291,5 @@ STUDY: Final = Study(
     run=run,
     tables=tables,
     panels=panels,
+    missing=missing,
 )

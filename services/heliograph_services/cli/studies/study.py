@@ -185,6 +185,7 @@ class Study:
         panels: likewise; empty without a plot.
         timing: its figures are times of this machine, and differ from run to run.
         plugs: its cells have `arms`, and peers can be among them.
+        missing: why it cannot be run here (data that are not shipped); empty: it can.
     """
 
     name: str
@@ -199,6 +200,7 @@ class Study:
     panels: Callable[[Sequence[Done]], list[Panel]] | None = None
     timing: bool = False
     plugs: bool = False
+    missing: Callable[[], str] | None = None
 
     def all_cells(self, size: Size, release: str) -> list[Cell]:
         """Return all cells, with their seeds.
