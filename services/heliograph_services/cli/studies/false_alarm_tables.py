@@ -13,6 +13,7 @@ CAMERA: Final = 32
 HOUR_S: Final = 3600.0
 # 95 %: of nothing found in T, ln 20 / T.
 NOTHING: Final = 3.0
+REPEATED: Final = ("read as a word", "square waves", "told wrongly", "a light, at most")
 COLUMNS: Final = ("told wrongly", "track-hours", "camera-hours", "a track-hour, at most", "a camera-hour, at most")
 
 
@@ -30,11 +31,19 @@ def tables(done: Sequence[Done]) -> list[Table]:
     others = _readers("beacons of others", [one for one in done if one["part"] == "strangers"])
     others += _readers("a crowd of `code`", [one for one in done if one["part"] == "crowd heard"])
     crowds = [_crowd(one) for one in done if one["part"] == "crowd"]
+    repeated = [_repeated(one) for one in done if one["part"] == "repeaters"]
     note = "Bounds: 3 / T where nothing was found, else the rate that was found. No such figures are in the paper."
     return [
         Table("False alarms", COLUMNS, rows, note),
         Table("Confusions: readers of other protocols", COLUMNS, [*others], note),
         Table("A hundred beacons through the whole system", ("confusions", "false alarms", "frames right"), crowds),
+        Table(
+            "Lights that repeat themselves in step with a word",
+            REPEATED,
+            repeated,
+            "Flashes, PWM and foreign words whose period is that of a word or a whole part of it. *Read*: as many equal"
+            " frames as an identity takes, or more. *Square waves*: told as a payload that any PWM of that period is.",
+        ),
         Table("Told wrongly, light by light", ("times",), _told(done), "`protocol@bit rate` of the reader."),
     ]
 
@@ -106,6 +115,18 @@ def _crowd(one: Done) -> Row:
     worse = "" if not counts["confusions"] + counts["false_alarms"] else "see the counts"
     told = f"{counts['identified']} identifications, {n} frames, {one['seconds']:g} s"
     return Row("`crowd`, `code20d4` at 1 kbit/s", "-", figures, worse, told)
+
+
+def _repeated(one: Done) -> Row:
+    counts = one.counts
+    n, told = counts["candidates"], len(counts["told"])
+    figures = {
+        "read as a word": Figure(float(counts["read"])),
+        "square waves": Figure(float(counts["square"])),
+        "told wrongly": Figure(float(told)),
+        "a light, at most": Figure(float(f"{(told or NOTHING) / n:.3g}"), unit="found" if told else ""),
+    }
+    return Row(f"{one['protocol']} at {one['rate']} bit/s", "-", figures, f"{told} told" if told else "", f"{n} lights")
 
 
 def _told(done: Sequence[Done]) -> list[Row]:

@@ -12,6 +12,7 @@ Parts; each is one or more cells:
 - `clocked`: random bits at each reader's own clock.
 - `strangers`: beacons of every protocol, read by all other protocols at their bit rate and those about it, and by
   `auto`, which must say nothing but what is sent.
+- `repeaters`: lights that repeat themselves in step with a word of the cyclic codes (`repeaters`).
 - `crowd`: a hundred beacons, through the whole system, named right or not; and what tracks of a crowd say to the
   readers of other protocols.
 
@@ -42,6 +43,7 @@ from heliograph_services.cli.studies.false_scenes import (
     scene_whole,
 )
 from heliograph_services.cli.studies.heard import Signal, listen
+from heliograph_services.cli.studies.repeaters import repeaters_row
 from heliograph_services.cli.studies.study import Cell, Counts, Parameters, Size, Study
 from heliograph_services.decoder.config import AUTO, DecoderConfig
 from heliograph_services.decoder.link_plan import LinkPlan
@@ -56,6 +58,7 @@ CROWD_S = 30.0
 RATES: tuple[float, ...] = (50, 100, 250, 500, 1000, 2000, 2500, 3125, 5000, 10_000, 20_000)
 # 130 Hz to 10 kHz, twice; none near the mains' harmonics.
 BLINK_RATES: tuple[float, ...] = (260, 500, 900, 2500, 3000, 5000, 10_000, 16_400, 20_000)
+REPEATED_RATES: tuple[float, ...] = (100, 500, 1000, 2000, 2500, 5000, 10_000)
 FAST: dict[str, tuple[float, ...]] = {"ook_fast": (30_000, 60_000), "event_interval": (30_000, 100_000)}
 PROTOCOLS = ("seed11", "code", "uart", "pulse_interval", "frequency", "event_interval", "packet", "ook_fast")
 BITS_MOST = 20_000
@@ -201,7 +204,7 @@ def cells(size: Size) -> list[Parameters]:
     return [cell for part in PARTS if part != "scene" or is_recorded() for cell in cells_of(part)]
 
 
-PARTS = ("scene", "clutter", "lights", "clocked", "strangers", "crowd")
+PARTS = ("scene", "clutter", "lights", "clocked", "strangers", "repeaters", "crowd")
 
 
 def cells_of(part: str) -> Iterator[Parameters]:
@@ -221,6 +224,10 @@ def cells_of(part: str) -> Iterator[Parameters]:
         for i, (speaker, rates) in product(range(STRANGERS_CHUNKS), spoken.items()):
             for rate in rates:
                 yield {"part": part, "speaker": speaker, "rate": rate, "seconds": 2.0, "beacons": 3, "chunk": i}
+    elif part == "repeaters":
+        repeated: tuple[float | str, ...] = (*REPEATED_RATES, AUTO)
+        for protocol, read_at in product(("seed11", "code"), repeated):
+            yield {"part": part, "protocol": protocol, "rate": read_at, "lights": 250, "chunk": 0}
     elif part == "crowd":
         yield {"part": part, "chunk": 0, "seconds": CROWD_S}
         yield {"part": "crowd heard", "chunk": 0, "seconds": 1.0}
@@ -261,6 +268,9 @@ def run(one: Cell) -> Counts:
         return {"readers": by_reader(crowd_heard(cell["seconds"], seed), near)}
     if part == "strangers":
         return {"readers": strangers_row(cell, seed)}
+    if part == "repeaters":
+        rate = None if cell["rate"] == AUTO else cell["rate"]
+        return repeaters_row(plan((cell["protocol"], cell["rate"])), cell["protocol"], rate, cell["lights"], seed)
     return lights_row(cell, seed)
 
 

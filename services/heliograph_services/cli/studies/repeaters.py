@@ -18,12 +18,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from false_lights import Edges, log_uniform, watched
-from heard import Signal, listen
 
 from heliograph.link.contract import edges_of
 from heliograph.link.modulations import modulation
-from heliograph_services.decoder.links import LinkPlan
+from heliograph_services.cli.studies.false_lights import Edges, log_uniform, watched
+from heliograph_services.cli.studies.heard import Signal, listen
+from heliograph_services.decoder.link_plan import LinkPlan
 from heliograph_services.decoder.routing import HEART_OF
 
 BITS = {"seed11": 11, "code": 20}
