@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-sys.path.append(str(Path(__file__).parents[2] / "bench"))
-
-repeaters = importlib.import_module("repeaters")
-study = importlib.import_module("study_false_alarms")
+from heliograph_services.cli.studies import false_alarms, repeaters
 
 
 def test_flashes_repeat_in_step_with_a_word_within_two_per_cent() -> None:
@@ -27,7 +20,7 @@ def test_flashes_repeat_in_step_with_a_word_within_two_per_cent() -> None:
 
 
 def test_none_of_them_is_told_though_some_are_read() -> None:
-    row = repeaters.repeaters_row(study.plan(("code", 2500.0)), "code", 2500.0, 24, 5)
+    row = repeaters.repeaters_row(false_alarms.plan(("code", 2500.0)), "code", 2500.0, 24, 5)
     assert row["candidates"] == 24
     assert row["read"] > 0
     assert row["told"] == []
