@@ -65,7 +65,7 @@ class Ear:
         self.parts: list[tuple[Times, Flags, Depths]] = []
         self.from_us: int | None = None
         self.until_us = 0
-        self.contested = self.outvoted = self.least = 0
+        self.contested = self.outvoted = 0
         self.winner = None
         self.every.append(self)
 
