@@ -18,15 +18,16 @@ from heliograph_services.cli.studies.stored import read_result
 ROOT = Path(__file__).parents[2]
 NUMBER = re.compile(r"\d[\d,]*(?:\.\d+)?|\.\d+")
 LINK = re.compile(r"\]\(([^)]+)\)")
+TEST = re.compile(r"`pytest (\S+\.py)")
 
 
 def figures(text: str) -> Iterator[tuple[str, str, str]]:
-    """Yield what, figure and stored file of each row of README's table of figures."""
+    """Yield what, figure and stored file of each row of README's table of figures; of a test's figure, the test."""
     part = text.split("\n## Figures\n", 1)[1].split("\n## ", 1)[0]
     rows = [line.strip("|").split("|") for line in part.splitlines() if line.startswith("|")]
     stored = ""
     for what, _, figure, where in rows[2:]:
-        found = LINK.search(where)
+        found = LINK.search(where) or TEST.search(where)
         if found:
             stored = found.group(1)
         else:
