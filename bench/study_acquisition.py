@@ -51,8 +51,6 @@ import numpy as np
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "tests")]
 
 import live_scenes  # noqa: E402
-from appearances import Appearance, appearances, scene  # noqa: E402
-from shaped_link import ShapedLink  # noqa: E402
 
 from heliograph.core import Context  # noqa: E402
 from heliograph.messages import Health, Identification, Message, Status, Tracks  # noqa: E402
@@ -62,6 +60,8 @@ from heliograph.shell.process import Stop  # noqa: E402
 from heliograph.shell.site import BusLinks  # noqa: E402
 from heliograph.streams import Events, Onsets  # noqa: E402
 from heliograph.wire import SCHEMAS, Header  # noqa: E402
+from heliograph_services.cli.studies.appearances import Appearance, appearances, scene  # noqa: E402
+from heliograph_services.cli.studies.radio import ShapedLink  # noqa: E402
 from heliograph_services.decoder.config import DecoderConfig  # noqa: E402
 from heliograph_services.decoder.core import make_core as make_decoder  # noqa: E402
 from heliograph_services.event_source.config import EventSourceConfig  # noqa: E402

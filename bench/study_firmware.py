@@ -1,7 +1,6 @@
 """The light that the firmware makes, edge by edge: the ESP32 port on the model of its RMT, and the AVR port in simavr.
 
     python bench/study_firmware.py [--rates 100] [--changes 1000] [--seconds 2] [--seed N]
-        [-o bench/results/firmware.jsonl]
 
 For each of ESP32, C3 and S3: so many random rates from 50 bit/s to 5 kbit/s, each from its own start. In simavr, where
 it and gcc-avr are installed: so many live changes of the payload at 5 kbit/s. Prints a JSON object for each: frames,
@@ -12,13 +11,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import random
 import struct
 import sys
 import tempfile
 from pathlib import Path
-from typing import TextIO
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
@@ -29,8 +26,8 @@ from support.firmware import Script, edge_check, live_changes, make  # noqa: E40
 HOUR = struct.pack(">I", 3_600_000)
 
 
-def told(out: TextIO, what: str, reports: list[edge_check.Report], **more: object) -> None:
-    """Print what the light held, and store it."""
+def told(what: str, reports: list[edge_check.Report], **more: object) -> None:
+    """Print what the light held."""
     line = {
         "what": what,
         "frames": sum(len(report.frames) for report in reports),
@@ -38,7 +35,6 @@ def told(out: TextIO, what: str, reports: list[edge_check.Report], **more: objec
         "worst_error_ns": max(report.worst_error_ns for report in reports),
         "worst_drift_ns": max(abs(report.worst_drift_ns) for report in reports),
     }
-    out.write(json.dumps(line | more) + "\n")
     print(json.dumps(line | more), flush=True)
 
 
@@ -60,15 +56,14 @@ def main() -> None:
     parser.add_argument("--changes", type=int, default=1000)
     parser.add_argument("--seconds", type=float, default=2.0)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("-o", type=Path, default=Path(os.devnull), help="where what is printed is stored, too")
     arguments = parser.parse_args()
-    with arguments.o.open("w") as out, tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for chip in make.CHIPS:
             (program,) = make.build(chip, folder)
             draw = random.Random(arguments.seed)
             rates = [round(draw.uniform(50, 5000), 3) for _ in range(arguments.rates)]
-            told(out, chip, [at_rate(program, rate, arguments.seconds) for rate in rates], rates=len(rates))
+            told(chip, [at_rate(program, rate, arguments.seconds) for rate in rates], rates=len(rates))
         absent = make.missing("avr")
         if absent:
             print(json.dumps({"what": "avr", "skipped": absent}))
@@ -78,7 +73,7 @@ def main() -> None:
             beacon.run(0.02)
             beacon.host.hello()
             report, same = live_changes(beacon, arguments.changes)
-            told(out, "avr", [report], changes=arguments.changes, in_order=same, late=beacon.host.status().late)
+            told("avr", [report], changes=arguments.changes, in_order=same, late=beacon.host.status().late)
 
 
 if __name__ == "__main__":

@@ -50,6 +50,8 @@ from heliograph.shell.process import Stop
 from heliograph.shell.site import BusLinks, load_site
 from heliograph.streams import Onsets
 from heliograph_services.cli.pipeline import ONE_PROCESS, Pipeline
+from heliograph_services.cli.studies.blocks import difference, share
+from heliograph_services.cli.studies.radio import Proxy
 from heliograph_services.decoder.config import DecoderConfig
 from heliograph_services.event_source.cameras import open_camera
 from heliograph_services.event_source.cameras.contract import Window
@@ -60,7 +62,6 @@ from heliograph_services.metrics_sink.config import MetricsSinkConfig
 from heliograph_services.metrics_sink.service import MetricsSink
 from heliograph_services.tracker.config import TrackerConfig
 from support.processes import Host, free_port
-from support.proxy import Proxy
 
 RESULT: Final = Path(__file__).parent / "results" / "onsets.json"
 SCENES: Final = ("onsets_dvxplorer_mini", "onsets_imx636")

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from heliograph.messages import Identification
+from heliograph_services.cli.studies.radio import Proxy
 from support.processes import Collector, Host, collecting, free_port
-from support.proxy import Proxy
 from support.scene import listed_beacons
 
 pytestmark = pytest.mark.processes

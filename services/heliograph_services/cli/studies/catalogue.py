@@ -18,6 +18,7 @@ STUDIES: Final[dict[str, str]] = {
     "recordings": "characters of real recordings, thinned",
     "false_alarms": "false alarms and confusions: clutter, noise, a real scene, crowds",
     "crowd_size": "1 to 200 beacons at once",
+    "distribution": "the tracker behind a radio link, real processes: bit rate, delay, cuts, bytes",
 }
 _PACKAGE: Final = "heliograph_services.cli.studies"
 

@@ -31,8 +31,8 @@ Counts = dict[str, Any]
 DEVELOPMENT: Final = "development"
 DEVELOPMENT_SEEDS: Final = 100
 FIRST_SEED: Final = 1_000
-# Who reads, or how often a thing is run, does not change what is seen.
-PAIRED: Final = frozenset({"arms"})
+# Who reads, or by which link the readers are joined, does not change what is seen.
+PAIRED: Final = frozenset({"arms", "link"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,9 @@ class Figure:
         unit = f" {self.unit}" if self.unit else ""
         if self.low is None or self.high is None:
             return f"{self.value:g}{unit}"
-        return f"{self.value:.4f} [{self.low:.4f} {self.high:.4f}]{unit}"
+        if self.unit:
+            return f"{self.value:g} [{self.low:g} {self.high:g}]{unit}"
+        return f"{self.value:.4f} [{self.low:.4f} {self.high:.4f}]"
 
 
 @dataclass(frozen=True, slots=True)

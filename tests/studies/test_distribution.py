@@ -1,0 +1,104 @@
+"""Study 9: counts become figures, links are named, and its settings are those of the site with a radio."""
+
+from __future__ import annotations
+
+import socket
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from heliograph_services.cli.studies import distribution, link_runs
+from heliograph_services.cli.studies.radio import ShapedLink
+from heliograph_services.cli.studies.study import Cell, Counts, Done
+
+ONBOARD = Path(__file__).parents[2] / "deploy" / "sites" / "onboard.toml"
+LINK = {"bit_rate": 2e6, "delay_ms": 50.0, "cut_s": 0.0}
+
+
+def done(link: dict[str, float] | None = None, **counts: object) -> Done:
+    whole: Counts = {
+        "blocks": {"ours": [[0, 1, 180, 180], [0, 2, 180, 171]]},
+        "acquired_ms": [60.0, 70.0, None],
+        "frame_ms": {"1": {"60": 100}},
+        "track_ms": {"1": {"70": 20}},
+        "published": 1000,
+        "crossed": 1020,
+        "records": 5,
+        "refused": 0,
+        "late_p99_ms": 1.5,
+        "seconds": 12.0,
+    }
+    return Done(Cell({"link": link, "run": 0, "seconds": 12.0}, 0), whole | counts, 1.0)
+
+
+def test_the_source_sends_onsets_as_the_site_with_a_radio_has_them() -> None:
+    entries = {one["kind"]: one for one in tomllib.loads(ONBOARD.read_text())["service"]}
+    source, decoder = entries["event_source"], entries["decoder"]
+    assert (source["tick_us"], source["onsets_us"]) == (link_runs.TICK_US, link_runs.ONSETS_US)
+    assert decoder["window_us"] == link_runs.WINDOW_US
+
+
+@given(st.lists(st.floats(0.2, 5_000.0), min_size=5, max_size=200), st.sampled_from([0.5, 0.95]))
+def test_a_quantile_of_binned_latencies_is_that_of_the_latencies_within_a_bin(values_ms: list[float], q: float) -> None:
+    binned = distribution.histogram([(ms / 1e3, 1_000_000 * (i % 3)) for i, ms in enumerate(values_ms)])
+    found = distribution.latency([done(frame_ms=binned)], "frame_ms", q)
+    exact = float(np.quantile(values_ms, q, method="inverted_cdf"))
+    assert found.n == len(values_ms)
+    assert found.value == pytest.approx(exact, rel=0.035)
+
+
+def test_the_interval_of_an_acquisition_time_is_that_of_order_statistics() -> None:
+    # Of twenty, the median lies between the 6th and the 15th with 95.9 % (tables of the sign test).
+    found = distribution.acquisition([done(acquired_ms=[float(i) for i in range(1, 21)])], 0.5)
+    assert (found.value, found.low, found.high) == (10.0, 6.0, 15.0)
+    late = distribution.acquisition([done(acquired_ms=[5.0, None, None])], 0.5)
+    assert (late.value, late.n) == (None, 3)
+    few = distribution.acquisition([done(acquired_ms=[1.0, 2.0, 3.0])], 0.95)
+    assert (few.value, few.high) == (3.0, None)
+
+
+def test_tables_have_a_row_a_link_and_the_ratio_of_the_bytes() -> None:
+    cells = [done(), done(LINK), done(LINK, crossed=1060), done(LINK | {"cut_s": 2.0})]
+    found, times, passed = distribution.tables(cells)
+    names = ["one host", "2 Mbit/s, 50 ms", "2 Mbit/s, 50 ms, cut for 2 s"]
+    assert [row.what for row in found.rows] == [row.what for row in times.rows] == names
+    assert [row.what for row in passed.rows] == names[1:]
+    assert passed.rows[0].figures["crossed / published"].value == 1.04
+    assert "ratio 1.020 to 1.060" in passed.rows[0].n
+    assert found.rows[1].figures["MAR_sent"].value == 0.975
+    assert len(distribution.panels(cells)) == 2
+
+
+def test_all_links_see_the_same_scenes_and_runs_do_not() -> None:
+    cells = distribution.STUDY.all_cells("full", "1.0")
+    seeds = {run: {cell.seed for cell in cells if cell.parameters["run"] == run} for run in range(distribution.RUNS)}
+    assert all(len(some) == 1 for some in seeds.values())
+    assert len(set.union(*seeds.values())) == distribution.RUNS
+
+
+def test_a_link_passes_what_comes_counts_it_and_passes_nothing_while_it_is_cut() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        link = ShapedLink(server.getsockname()[1], 1e8, 0.0)
+        try:
+            with socket.create_connection(("127.0.0.1", link.port)) as near:
+                far, _ = server.accept()
+                sent = bytes(range(256)) * 20
+                near.sendall(sent)
+                with far:
+                    far.settimeout(20)
+                    heard = b""
+                    while len(heard) < len(sent):
+                        heard += far.recv(65536)
+                    assert heard == sent
+                    assert link.passed == [len(sent), 0]
+                    link.cut()
+                    near.sendall(b"lost")
+                    link.restore()
+                    assert far.recv(1) == b""  # what hung on the cut link is reset
+            assert link.bytes_passed == len(sent)
+        finally:
+            link.close()
