@@ -162,8 +162,8 @@ def _finish(study: Study, book: Book, cells: Sequence[Cell], out: Path, *, as_js
     path = out / f"{study.name}.json"
     write_result(path, result)
     done = [book.done[cell.key] for cell in cells if cell.key in book.done]
-    if study.panels is not None and done and can_draw():
-        draw(study.panels(done), path.with_suffix(".png"))
+    if done and can_draw():
+        draw(study, done, path.with_suffix(".png"))
     if as_json:
         print(json.dumps({"type": "study", **result}), flush=True)
     else:

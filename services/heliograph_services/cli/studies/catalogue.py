@@ -10,6 +10,7 @@ from heliograph_services.cli.studies.study import Study
 
 # In the order of docs/results.md.
 STUDIES: Final[dict[str, str]] = {
+    "scene": "a picture: a flight over a construction site, with what was decoded laid over it",
     "bit_rate": "MAR of a still beacon at 50 cm over its bit rate, in every read-out mode",
     "distance": "MAR over distance, two lenses, indoors and in the sun; R95",
     "moving": "the table of moving beacons: simulated camera, with and without flow; 2 m/s at 5 and 16 m",

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from heliograph.errors import FileError
-from heliograph_services.cli.studies.study import Panel
+from heliograph_services.cli.studies.study import Done, Panel, Study
 
 
 def can_draw() -> bool:
@@ -20,8 +20,8 @@ def can_draw() -> bool:
     return bool(mpl.__version__)
 
 
-def draw(panels: Sequence[Panel], path: Path) -> None:
-    """Write a plot, one panel beside the other.
+def draw(study: Study, done: Sequence[Done], path: Path) -> None:
+    """Write a study's plots, one panel beside the other, or its picture.
 
     Raises:
         FileError: it cannot be written.
@@ -31,8 +31,15 @@ def draw(panels: Sequence[Panel], path: Path) -> None:
     mpl.use("Agg")
     from matplotlib import pyplot as plt  # noqa: PLC0415
 
-    figure, axes = plt.subplots(1, len(panels), figsize=(6.2 * len(panels), 4.4), squeeze=False)
-    for axis, panel in zip(axes[0], panels, strict=True):
+    panels = [] if study.panels is None else study.panels(done)
+    if study.picture is None and not panels:
+        return
+    if study.picture is not None:
+        figure, axes = plt.subplots(1, 1, figsize=(8.4, 6.9), squeeze=False)
+        study.picture(done, axes[0, 0])
+    else:
+        figure, axes = plt.subplots(1, len(panels), figsize=(6.2 * len(panels), 4.4), squeeze=False)
+    for axis, panel in zip(axes[0], panels, strict=False):
         _panel(axis, panel)
     figure.tight_layout()
     beside = path.with_name(f"{path.stem}.part.png")

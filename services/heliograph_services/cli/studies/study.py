@@ -188,6 +188,7 @@ class Study:
         timing: its figures are times of this machine, and differ from run to run.
         plugs: its cells have `arms`, and peers can be among them.
         missing: why it cannot be run here (data that are not shipped); empty: it can.
+        picture: draws what was found on a matplotlib axis; instead of panels.
     """
 
     name: str
@@ -203,6 +204,7 @@ class Study:
     timing: bool = False
     plugs: bool = False
     missing: Callable[[], str] | None = None
+    picture: Callable[[Sequence[Done], Any], None] | None = None
 
     def all_cells(self, size: Size, release: str) -> list[Cell]:
         """Return all cells, with their seeds.
