@@ -15,7 +15,7 @@ import pytest
 
 from heliograph_services.cli.__main__ import main
 from heliograph_services.cli.studies import catalogue
-from heliograph_services.cli.studies.catalogue import STUDIES, load
+from heliograph_services.cli.studies.catalogue import COST_S, STUDIES, load
 from heliograph_services.cli.studies.study import Cell, Done, seed_of
 from heliograph_services.cli.studies.workers import run_all
 from support import toy_study
@@ -114,7 +114,7 @@ def test_an_interrupted_study_goes_on_and_ends_as_if_it_had_not_been(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["evaluate", "moon"], "a study must be one of bit_rate"),
+        (["evaluate", "moon"], "a study must be one of scene, bit_rate"),
         (["evaluate", "bit_rate", "--jobs", "0"], "--jobs must be in [1, 1024], not 0"),
         (["evaluate", "bit_rate", "--release", ""], "--release must have 1 to 64 characters"),
         (["evaluate", "--page", "--out", "/nowhere/at/all"], "/nowhere/at/all: no folder of results"),
@@ -188,9 +188,27 @@ def test_recordings_that_are_not_here_are_one_line(
     assert not (tmp_path / "out").exists()
 
 
-def test_the_list_names_every_study(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_list_and_the_help_say_every_study_and_its_cost(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["evaluate", "list"]) == 0
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(STUDIES)
+    listed = [line.split()[:3] for line in capsys.readouterr().out.splitlines()]
+    assert listed == [[name, *map(str, COST_S[name])] for name in STUDIES]
+    with pytest.raises(SystemExit):
+        main(["evaluate", "--help"])
+    said = capsys.readouterr().out
+    assert all(f"  {name} " in said for name in STUDIES)
+
+
+def test_a_full_run_costs_at_most_twelve_thousand_cpu_seconds_and_a_quick_one_minutes() -> None:
+    assert sum(full for full, _ in COST_S.values()) <= 12_000
+    assert sum(quick for _, quick in COST_S.values()) <= 600
+
+
+def test_a_long_run_listens_to_clutter_for_three_hours_a_protocol() -> None:
+    study = load("false_alarms")
+    lights = [one for one in study.cells("long") if one["part"] == "lights" and one["protocol"] == "seed11"]
+    # A camera has 32 lights, which a cell hears for its seconds.
+    assert 3.0 <= sum(one["seconds"] for one in lights) / 3600.0 < 3.3
+    assert all(one in study.cells("long") for one in study.cells("full"))
 
 
 @pytest.mark.parametrize("name", list(STUDIES))

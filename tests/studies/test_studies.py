@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from heliograph.edits import edits
 from heliograph.errors import ConfigError
 from heliograph.link.contract import edges_of
 from heliograph.link.uart_layout import text_bits
+from heliograph.messages import Identification
 from heliograph_services.cli.studies import (
     bit_rate,
     contest,
@@ -21,6 +24,7 @@ from heliograph_services.cli.studies import (
     distance,
     methods,
     recordings,
+    scene,
     sunlight,
     wavelength,
 )
@@ -63,6 +67,39 @@ def test_scenes_of_all_kinds_load(name: str, tmp_path: Path) -> None:
         assert {beacon.protocol for beacon in beacons} == {scene.protocol}
         seen += len(beacons)
     assert seen > 10
+
+
+def test_the_scene_keeps_who_is_named_and_draws_it_again_from_what_it_keeps() -> None:
+    view = {"shape": [240, 320], "zlib": base64.b64encode(zlib.compress(bytes(240 * 320))).decode()}
+    counts: dict[str, object] = {
+        "view": view,
+        "events": [[10, 20, 1], [11, 20, 0]],
+        "beacons": [["crate", 10.0, 20.0, 1.0, True], ["pipes", 50.0, 20.0, 1.0, False]],
+        "tracks": [[10.0, 20.0, 5.0, 0.0]],
+        "identified": [["crate", 10.0, 20.0, True], ["pipes", 90.0, 20.0, False]],
+    }
+    done = Done(Cell({"scenario": "construction_site", "seconds": 4.0}, 0), counts, 1.0)
+    (table,) = scene.tables([done])
+    assert [figure.value for figure in table.rows[0].figures.values()] == [1.0, 2.0, 1.0]
+    axis = pytest.importorskip("matplotlib.figure").Figure().subplots()
+    scene.draw([done], axis)
+    assert [text.get_text() for text in axis.texts] == ["crate", "pipes"]
+    assert axis.get_xlim() == (-0.5, 639.5)
+
+
+def test_a_name_is_right_where_the_beacon_that_bears_it_is() -> None:
+    text = crowd_size.SCENARIO.format(count=2, rate=2000.0, fresh="true")
+    run = watch(Scene(text, 0.8, "seed11", 2000.0), 5, ["core"])
+    x_px, y_px = run.paths.places([500_000])
+    fields = {
+        "camera": "cam0", "track": "t", "t_us": 500_000, "since_us": 0, "protocol": "seed11", "payload": 1,
+        "vx_px_s": 0.0, "vy_px_s": 0.0, "bearing": None, "confidence": 1.0, "margin": 1.0, "frames_used": 4,
+        "change": "accepted", "lost": False, "x_px": float(x_px[0, 0]) + 1.0, "y_px": float(y_px[0, 0]),
+    }  # fmt: skip
+    names = run.paths.names
+    assert scene.is_right(Identification(**fields, beacon=names[0]), run.paths)
+    assert not scene.is_right(Identification(**fields, beacon=names[1]), run.paths)
+    assert not scene.is_right(Identification(**fields | {"x_px": -900.0}, beacon=names[0]), run.paths)
 
 
 def test_r95_begins_where_a_scene_has_all_beacons() -> None:

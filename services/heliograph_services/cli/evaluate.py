@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 
 from heliograph import __version__
 from heliograph.errors import ConfigError, FileError
-from heliograph_services.cli.studies.catalogue import STUDIES, load
+from heliograph_services.cli.studies.catalogue import COST_S, STUDIES, load
 from heliograph_services.cli.studies.study import Cell, Size, Study
 
 if TYPE_CHECKING:
@@ -29,11 +29,17 @@ LIST: Final = "list"
 
 def run(argv: Sequence[str]) -> int:
     """Run the subcommand; return its exit status."""
-    parser = argparse.ArgumentParser(prog="heliograph evaluate", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="heliograph evaluate",
+        description=__doc__,
+        epilog=f"studies, with the CPU seconds of a full and of a quick run:\n{costs()}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("study", nargs="*", metavar="STUDY", help="which studies; `list` names them (default: all)")
     size = parser.add_mutually_exclusive_group()
     size.add_argument("--quick", action="store_true", help="a few cells of each, in minutes")
     size.add_argument("--full", action="store_true", help="all cells, in hours of a core (default)")
+    size.add_argument("--long", action="store_true", help="as --full, false alarms for 3 camera-hours a protocol")
     parser.add_argument("--release", default=__version__, metavar="TAG", help="what the seeds come from; `development`")
     parser.add_argument("--out", type=Path, default=Path("results"), metavar="DIR", help="default: results")
     parser.add_argument("--resume", action="store_true", help="go on with the cells that are there")
@@ -55,7 +61,7 @@ def run(argv: Sequence[str]) -> int:
     if arguments.page:
         _write_page(arguments.out)
         return 0
-    wanted: Size = "quick" if arguments.quick else "full"
+    wanted: Size = "quick" if arguments.quick else "long" if arguments.long else "full"
     return evaluate(
         list(dict.fromkeys(arguments.study)) or list(STUDIES),
         wanted,
@@ -68,9 +74,18 @@ def run(argv: Sequence[str]) -> int:
     )
 
 
+def costs() -> str:
+    """Return the studies, a line each, with what they cost, and the sums."""
+    lines = [f"  {name:<14}{full:>7} {quick:>5}  {STUDIES[name]}" for name, (full, quick) in COST_S.items()]
+    full, quick = (sum(cost[i] for cost in COST_S.values()) for i in range(2))
+    return "\n".join([*lines, f"  {'all':<14}{full:>7} {quick:>5}"])
+
+
 def _list(*, as_json: bool) -> int:
     for name, about in STUDIES.items():
-        print(json.dumps({"type": "study", "name": name, "about": about}) if as_json else f"{name:<14}{about}")
+        full, quick = COST_S[name]
+        told = {"type": "study", "name": name, "about": about, "full_cpu_s": full, "quick_cpu_s": quick}
+        print(json.dumps(told) if as_json else f"{name:<14}{full:>7} {quick:>5}  {about}")
     return 0
 
 

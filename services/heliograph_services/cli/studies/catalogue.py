@@ -21,6 +21,19 @@ STUDIES: Final[dict[str, str]] = {
     "crowd_size": "1 to 200 beacons at once",
     "distribution": "the tracker behind a radio link, real processes: bit rate, delay, cuts, bytes",
 }
+# CPU seconds of a full and of a quick run on a core of two shared ones (x86, 2026), from cells that were measured.
+COST_S: Final[dict[str, tuple[int, int]]] = {
+    "scene": (20, 10),
+    "bit_rate": (1600, 20),
+    "distance": (2000, 20),
+    "moving": (1900, 10),
+    "methods": (600, 10),
+    "wavelength": (150, 1),
+    "recordings": (600, 10),
+    "false_alarms": (2400, 20),
+    "crowd_size": (1000, 20),
+    "distribution": (1200, 60),
+}
 _PACKAGE: Final = "heliograph_services.cli.studies"
 
 

@@ -49,8 +49,9 @@ from heliograph_services.decoder.config import AUTO, DecoderConfig
 from heliograph_services.decoder.link_plan import LinkPlan
 from heliograph_services.decoder.routing import HEART_OF
 
-# A full run: camera-hours a protocol; minutes a protocol and bit rate; camera seconds and chunks of the others.
-HOURS = 0.3
+# Camera-hours a protocol: of a long run they bound a rate at one an hour. Then, of both: minutes a protocol and bit
+# rate; camera seconds and chunks of the other parts.
+HOURS = {"full": 0.3, "long": 3.0}
 MINUTES = 1.0
 CLUTTER_CHUNKS = 2
 STRANGERS_CHUNKS = 1
@@ -201,14 +202,15 @@ def cells(size: Size) -> list[Parameters]:
             {"part": "strangers", "speaker": "code", "rate": 1000, "seconds": 1.0, "beacons": 1, "chunk": 0},
             {"part": "lights", "protocol": "seed11", "rate": 1000, "seconds": 2.0, "chunk": 0},
         ]
-    return [cell for part in PARTS if part != "scene" or is_recorded() for cell in cells_of(part)]
+    hours = HOURS[size]
+    return [cell for part in PARTS if part != "scene" or is_recorded() for cell in cells_of(part, hours)]
 
 
 PARTS = ("scene", "clutter", "lights", "clocked", "strangers", "repeaters", "crowd")
 
 
-def cells_of(part: str) -> Iterator[Parameters]:
-    """Yield the cells of a part."""
+def cells_of(part: str, hours: float) -> Iterator[Parameters]:
+    """Yield the cells of a part; of `lights`, so many camera-hours a protocol."""
     if part == "scene":
         yield {"part": part}
         yield from ({"part": part, "side_px": side} for side in (32, 96))
@@ -216,7 +218,7 @@ def cells_of(part: str) -> Iterator[Parameters]:
         yield from ({"part": part, "chunk": i, "seconds": 3.0} for i in range(CLUTTER_CHUNKS))
     elif part == "lights":
         for protocol in [*PROTOCOLS, AUTO]:
-            yield from _shared(part, protocol, HOURS if protocol != AUTO else HOURS / 100.0)
+            yield from _shared(part, protocol, hours if protocol != AUTO else hours / 100.0)
     elif part == "clocked":
         yield from _clocked_cells(part, MINUTES * 60.0)
     elif part == "strangers":

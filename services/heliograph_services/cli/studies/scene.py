@@ -91,7 +91,7 @@ def run(cell: Cell) -> Counts:
         "events": late,
         "beacons": _truth(paths, round(seconds * 1e6)),
         "tracks": [] if tracks is None else _moving(tracks),
-        "identified": [[one.beacon, round(one.x_px, 1), round(one.y_px, 1), _right(one, paths)] for one in held],
+        "identified": [[one.beacon, round(one.x_px, 1), round(one.y_px, 1), is_right(one, paths)] for one in held],
     }
 
 
@@ -116,7 +116,7 @@ def _moving(tracks: Tracks) -> list[list[float]]:
     return [[round(value, 1) for value in row] for row in rows]
 
 
-def _right(state: Identification, paths: TruePaths) -> bool:
+def is_right(state: Identification, paths: TruePaths) -> bool:
     """Return whether a state names the beacon that is there."""
     x_px, y_px = paths.places([state.t_us])
     away = np.hypot(x_px[:, 0] - state.x_px, y_px[:, 0] - state.y_px)
@@ -131,7 +131,7 @@ def tables(done: Sequence[Done]) -> list[Table]:
     rows = []
     for one in done:
         visible = sum(seen for *_, seen in one.counts["beacons"])
-        right = [is_right for *_, is_right in one.counts["identified"]]
+        right = [rightly for *_, rightly in one.counts["identified"]]
         figures = {
             "visible": Figure(float(visible)),
             "named": Figure(float(len(right))),
@@ -162,8 +162,8 @@ def draw(done: Sequence[Done], axis: Any) -> None:
     for x_px, y_px, vx_px_s, vy_px_s in counts["tracks"]:
         axis.plot([x_px], [y_px], "+", color="#ffd23f", ms=7)
         axis.plot([x_px, x_px + 0.2 * vx_px_s], [y_px, y_px + 0.2 * vy_px_s], "-", color="#ffd23f", lw=1)
-    for name, x_px, y_px, is_right in counts["identified"]:
-        colour = "#3ddc84" if is_right else "#ff1744"
+    for name, x_px, y_px, rightly in counts["identified"]:
+        colour = "#3ddc84" if rightly else "#ff1744"
         axis.add_patch(_circle(x_px, y_px, 5.0, colour, "-"))
         box = {"boxstyle": "round,pad=0.15", "fc": "k", "ec": colour, "alpha": 0.75}
         axis.annotate(name, (x_px, y_px), (7, -11), textcoords="offset points", color=colour, fontsize=8, bbox=box)

@@ -23,7 +23,8 @@ import numpy.typing as npt
 
 from heliograph_services.cli.studies.blocks import Share, difference, share
 
-Size = Literal["quick", "full"]
+# `long` differs from `full` where bounds of rare things take hours.
+Size = Literal["quick", "full", "long"]
 Evidence = Literal["simulated", "recording", "simulated light, real processes"]
 Parameters = dict[str, Any]
 Counts = dict[str, Any]
