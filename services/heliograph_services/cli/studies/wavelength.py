@@ -2,8 +2,8 @@
 
 The paper chose 850 nm, by experiment: range over wavelength and half angle, against the sun (AM1.5G). Here the range is
 the largest distance at which an LED of 1 W, on its axis, has a contrast above .25 before sunlit ground (`sunlight`): by
-arithmetic, and an upper bound. Cells of the kind `seen` then put that light into the simulator and read it: what MAR there is about such a
-range, for 850 and 940 nm, whose order the responsivity decides.
+arithmetic, and an upper bound. Cells of the kind `seen` then put that light into the simulator and read it: what MAR
+there is about such a range, for 850 and 940 nm, whose order the responsivity decides.
 """
 
 from __future__ import annotations
@@ -167,9 +167,9 @@ STUDY: Final = Study(
     about=(
         "Range of an LED of 1 W on its axis before ground lit by the sun (AM1.5G, ASTM G173-03), for two responsivities"
         " whose shapes are assumed: a silicon cell's, and that of a thin CMOS pixel. Which of 850 and 940 nm reaches"
-        " farther turns on it, and on a filter; the paper chose 850 nm, by experiment, and gives no numbers. These ranges"
-        " are upper bounds, by arithmetic: clear air, an image of .7 px, one threshold in one pixel. What is read of the"
-        " simulated light about them stands below."
+        " farther turns on it, and on a filter; the paper chose 850 nm, by experiment, and gives no numbers."
+        " These ranges are upper bounds, by arithmetic: clear air, an image of .7 px, one threshold in one pixel. What"
+        " is read of the simulated light about them stands below."
     ),
     preset="dvxplorer_mini (VARIABLE_5000), 16 mm f/1.4",
     evidence="simulated",
