@@ -32,7 +32,7 @@ def run(argv: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(
         prog="heliograph evaluate",
         description=__doc__,
-        epilog=f"studies, with the CPU seconds of a full and of a quick run:\n{costs()}",
+        epilog=f"studies, with about how many CPU seconds a full and a quick run take:\n{costs()}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("study", nargs="*", metavar="STUDY", help="which studies; `list` names them (default: all)")

@@ -21,7 +21,9 @@ STUDIES: Final[dict[str, str]] = {
     "crowd_size": "1 to 200 beacons at once",
     "distribution": "the tracker behind a radio link, real processes: bit rate, delay, cuts, bytes",
 }
-# CPU seconds of a full and of a quick run on a core of two shared ones (x86, 2026), from cells that were measured.
+# About how many CPU seconds a full and a quick run take on a core of two shared ones (x86, 2026). From measured
+# cells of all kinds: scene, wavelength; of some kinds, the rest by camera seconds, bit rate and readers: bit_rate,
+# moving, false_alarms; by camera seconds alone: distance, methods, recordings, crowd_size, distribution.
 COST_S: Final[dict[str, tuple[int, int]]] = {
     "scene": (20, 10),
     "bit_rate": (1600, 20),
