@@ -50,7 +50,6 @@ from heliograph.shell.process import Stop
 from heliograph.shell.site import BusLinks, load_site
 from heliograph.streams import Onsets
 from heliograph_services.cli.pipeline import ONE_PROCESS, Pipeline
-from heliograph_services.cli.studies.blocks import difference, share
 from heliograph_services.cli.studies.radio import Proxy
 from heliograph_services.decoder.config import DecoderConfig
 from heliograph_services.event_source.cameras import open_camera

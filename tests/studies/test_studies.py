@@ -6,6 +6,7 @@ import base64
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -96,7 +97,7 @@ def test_a_name_is_right_where_the_beacon_that_bears_it_is() -> None:
     text = crowd_size.SCENARIO.format(count=2, rate=2000.0, fresh="true")
     run = watch(Scene(text, 0.8, "seed11", 2000.0), 5, ["core"])
     x_px, y_px = run.paths.places([500_000])
-    fields = {
+    fields: dict[str, Any] = {
         "camera": "cam0", "track": "t", "t_us": 500_000, "since_us": 0, "protocol": "seed11", "payload": 1,
         "vx_px_s": 0.0, "vy_px_s": 0.0, "bearing": None, "confidence": 1.0, "margin": 1.0, "frames_used": 4,
         "change": "accepted", "lost": False, "x_px": float(x_px[0, 0]) + 1.0, "y_px": float(y_px[0, 0]),

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from heliograph_services.cli.studies.blocks import share
+from heliograph.shares import share
 from heliograph_services.cli.studies.study import (
     Cell,
     Counts,

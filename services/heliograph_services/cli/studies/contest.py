@@ -22,10 +22,10 @@ import numpy as np
 from heliograph.core import Core
 from heliograph.errors import ConfigError
 from heliograph.messages import Frames, Identification, Message, Tracks
+from heliograph.shares import share
 from heliograph.site import Beacon
 from heliograph.truth import Truth
 from heliograph_services.cli.pipeline import ONE_PROCESS, Pipeline
-from heliograph_services.cli.studies.blocks import share
 from heliograph_services.cli.studies.genie import Genie
 from heliograph_services.cli.studies.paths import TruePaths, true_paths
 from heliograph_services.cli.studies.peers import Plugged, Told, is_peer

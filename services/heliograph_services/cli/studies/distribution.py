@@ -27,8 +27,8 @@ import numpy as np
 import numpy.typing as npt
 
 from heliograph.errors import ConfigError
+from heliograph.shares import RESAMPLES, SEED, share
 from heliograph_services.cli.studies.appearances import BIT_RATE, ON_S
-from heliograph_services.cli.studies.blocks import RESAMPLES, SEED, share
 from heliograph_services.cli.studies.distribution_scene import SENSOR, Scene, scene
 from heliograph_services.cli.studies.link_runs import Heard, Link, play
 from heliograph_services.cli.studies.study import (

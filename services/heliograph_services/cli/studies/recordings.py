@@ -32,10 +32,10 @@ from heliograph.link.contract import LinkFrame, Receiver, Text
 from heliograph.link.modulations import modulation
 from heliograph.link.uart_layout import TIME_FILL
 from heliograph.link.wang2022 import WangParameters, WangReceiver, published
+from heliograph.shares import share
 from heliograph.streams import Events
 from heliograph.units import bit_us
 from heliograph_services.cli.studies import contest
-from heliograph_services.cli.studies.blocks import share
 from heliograph_services.cli.studies.study import (
     Cell,
     Counts,

@@ -21,7 +21,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from heliograph_services.cli.studies.blocks import Share, difference, share
+from heliograph.shares import Share, difference, share
 
 # `long` differs from `full` where bounds of rare things take hours.
 Size = Literal["quick", "full", "long"]
