@@ -83,7 +83,7 @@ def test_a_number_that_nothing_holds_is_found() -> None:
 
 
 def results() -> list[Path]:
-    return sorted((ROOT / "results").glob("*.json"))
+    return sorted((ROOT / "results").rglob("*.json"))
 
 
 @pytest.mark.parametrize("path", results(), ids=lambda path: path.stem)

@@ -31,7 +31,8 @@ def draw(study: Study, done: Sequence[Done], path: Path) -> None:
     mpl.use("Agg")
     from matplotlib import pyplot as plt  # noqa: PLC0415
 
-    panels = [] if study.panels is None else study.panels(done)
+    drawn = [] if study.panels is None else study.panels(done)
+    panels = [panel for panel in drawn if panel.quoted or any(curve.x for curve in panel.curves)]
     if study.picture is None and not panels:
         return
     if study.picture is not None:
@@ -65,5 +66,5 @@ def _panel(axis: Any, panel: Panel) -> None:
         axis.set_xscale("log")
     axis.set(title=panel.title, xlabel=panel.x_label, ylabel=panel.y_label)
     axis.grid(alpha=0.3)
-    if panel.curves or panel.quoted:
+    if any(curve.x for curve in panel.curves) or panel.quoted:
         axis.legend(fontsize=7)

@@ -16,6 +16,8 @@ from heliograph_services.cli.studies.study import Figure
 
 # A result that an older program made.
 CARRIED: Final = "carried"
+# The folder, beside the results of full runs, of those of long ones.
+LONG: Final = "long"
 HEAD: Final = """# Results of the studies
 
 Written by `heliograph evaluate`; definitions: docs/metrics.md. The paper's values are quoted and never ranked against
@@ -32,10 +34,11 @@ def section(result: dict[str, Any], plot: str | None = None) -> str:
         plot: where its plot is, from the page; None: it has none.
     """
     seeds = result["seeds"]
-    lines = [f"## {result['title']}", "", result["about"], ""]
+    is_long = result["size"] in {LONG, CARRIED}
+    lines = [f"## {result['title']}{', a long run' if is_long else ''}", "", result["about"], ""]
     if result["size"] == CARRIED:
         lines += ["**Carried over: run before there was this command, with the commit and seeds below.**", ""]
-    size = "full" if result["size"] == CARRIED else result["size"]
+    size = LONG if is_long else result["size"]
     lines.append(
         f"`heliograph evaluate {result['study']} --{size} --release {result['release']}`. Preset:"
         f" {result['preset']}. Commit {result['commit']}, parameters `{result['parameters']}`, code `{result['code']}`,"
@@ -75,7 +78,7 @@ def _line(cells: Iterable[str]) -> str:
 
 
 def sections(folder: Path, plots: str = "") -> list[str]:
-    """Return the sections of all results in a folder, in the studies' order.
+    """Return the sections of all results in a folder, in the studies' order, each before its long run.
 
     Args:
         folder: with STUDY.json and STUDY.png.
@@ -85,11 +88,11 @@ def sections(folder: Path, plots: str = "") -> list[str]:
         FileError: a result is broken.
     """
     out = []
-    for name in STUDIES:
-        path = folder / f"{name}.json"
+    for path in (folder / beside / f"{name}.json" for name in STUDIES for beside in ("", LONG)):
         if path.exists():
-            has_plot = path.with_suffix(".png").exists()
-            out.append(section(read_result(path), f"{plots}{name}.png" if has_plot else None))
+            plot = path.with_suffix(".png")
+            where = f"{plots}{plot.relative_to(folder).as_posix()}"
+            out.append(section(read_result(path), where if plot.exists() else None))
     return out
 
 
