@@ -52,6 +52,39 @@ def test_a_second_signal_ends_a_process_that_does_not_heed_the_first() -> None:
     stubborn.stdout.close()
 
 
+def test_a_signal_within_any_line_of_a_wait_is_heeded() -> None:
+    # The handler runs at each line, in turn, of all Python code that a wait goes through, what it calls included.
+    done = subprocess.run(
+        script("""
+            import signal, sys
+            from heliograph.shell.process import Stop
+            waits = 0
+            while True:
+                stop, lines = Stop(), 0
+                def tracer(frame, event, arg):
+                    global lines
+                    if event == "line":
+                        lines += 1
+                        if lines == waits + 1:
+                            stop._on_signal(signal.SIGTERM, frame)
+                    return tracer
+                sys.settrace(tracer)
+                heard = stop.wait(0.03)
+                sys.settrace(None)
+                assert heard == (lines > waits), (heard, lines, waits)
+                if not heard:
+                    break
+                waits += 1
+            print(waits)
+        """),
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=True,
+    )
+    assert int(done.stdout) >= 4
+
+
 def test_a_child_ends_when_its_parent_is_killed() -> None:
     parent = subprocess.Popen(
         script(f"""

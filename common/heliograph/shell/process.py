@@ -10,9 +10,9 @@ import gc
 import os
 import signal
 import sys
-import threading
 import time
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from types import FrameType
 from typing import Final
 
@@ -29,10 +29,15 @@ EXIT_FORCED: Final = 130  # the shell's convention for an end by SIGINT
 
 
 class Stop:
-    """Becomes true on SIGINT or SIGTERM; a second signal ends the process there and then."""
+    """Becomes true on SIGINT or SIGTERM; a second signal ends the process there and then.
+
+    A signal's handler runs in the main thread, wherever that is: a `threading.Event` would be set while the same thread
+    holds its lock, now and then, and never come back. A `SimpleQueue` may be put to from anywhere.
+    """
 
     def __init__(self) -> None:
-        self._event = threading.Event()
+        self._is_set = False
+        self._wake: SimpleQueue[None] = SimpleQueue()
 
     def install(self) -> None:
         """Take over SIGINT and SIGTERM; main thread only."""
@@ -40,23 +45,31 @@ class Stop:
         signal.signal(signal.SIGTERM, self._on_signal)
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
-        if self._event.is_set():
+        if self._is_set:
             os._exit(EXIT_FORCED)
-        self._event.set()
+        self.set()
 
     def set(self) -> None:
         """Stop from within."""
-        self._event.set()
+        self._is_set = True
+        self._wake.put(None)
 
     def __bool__(self) -> bool:
-        return self._event.is_set()
+        return self._is_set
 
     def wait(self, seconds: float) -> bool:
         """Wait for the stop, at most that long; return whether it came, of which a short wait knows only at its end."""
-        if seconds > _NAP_S:
-            return self._event.wait(seconds)
-        time.sleep(seconds)
-        return self._event.is_set()
+        if self._is_set:
+            return True
+        if seconds <= _NAP_S:
+            time.sleep(seconds)
+            return self._is_set
+        try:
+            self._wake.get(timeout=seconds)
+        except Empty:
+            return self._is_set
+        self._wake.put(None)  # for whoever else waits
+        return True
 
 
 def keep_kernels() -> None:
