@@ -7,10 +7,10 @@ import dataclasses
 import json
 import signal
 import sys
-import threading
 from pathlib import Path
 from typing import Final
 
+from heliograph.shell.process import Stop
 from heliograph.shell.site import load_site
 from heliograph_services.cli.plan import plan_of
 from heliograph_services.cli.supervision import ProcessState, Supervised, SupervisionError
@@ -72,7 +72,7 @@ def status(argv: list[str]) -> int:
 
 
 def _up(supervised: Supervised, *, foreground: bool, until_end: bool) -> int:
-    stop = threading.Event()
+    stop = Stop()
     if foreground:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: stop.set())
@@ -89,7 +89,7 @@ def _up(supervised: Supervised, *, foreground: bool, until_end: bool) -> int:
         return _watch(supervised, stop, until_end=until_end)
 
 
-def _watch(supervised: Supervised, stop: threading.Event, *, until_end: bool) -> int:
+def _watch(supervised: Supervised, stop: Stop, *, until_end: bool) -> int:
     """Stay until told to stop; say on stderr what changes."""
     seen: dict[str, tuple[str, int]] = {}
     while not stop.wait(_LOOK_S):
