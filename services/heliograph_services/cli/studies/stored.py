@@ -244,11 +244,12 @@ def read_result(path: Path) -> dict[str, Any]:
     """
     try:
         result: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        if result["schema"] != SCHEMA:
-            raise ValueError(f"schema must be {SCHEMA}, not {result['schema']}")
-        for name in ("study", "title", "about", "evidence", "preset", "commit", "parameters", "release", "tables"):
+        needed = "schema study title about evidence preset commit parameters release tables"
+        for name in needed.split():
             if name not in result:
                 raise ValueError(f"no {name} in it")
+        if result["schema"] != SCHEMA:
+            raise ValueError(f"schema must be {SCHEMA}, not {result['schema']}")
         for table in result["tables"]:
             columns, rows = table["columns"], table["rows"]
             for row in rows:
