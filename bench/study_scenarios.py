@@ -55,13 +55,11 @@ def told_of(outcome: Outcome, seconds: float) -> dict[str, Any]:
     accuracy = summary.accuracy
     if accuracy is None:
         return out | {"sightings": msgspec.to_builtins(summary.sightings)}
-    for key in ("mar_visible", "mar_in_view", "mar_received"):
-        ratio = getattr(accuracy, key)
-        out[key] = {one: getattr(ratio, one) for one in ("right", "n", "value", "low", "high")}
+    for key in ("mar_visible", "mar_in_view", "mar_received", "cer"):
+        out[key] = msgspec.to_builtins(getattr(accuracy, key))
     out |= {
         "acquisition_ms": accuracy.first.median_ms,
         "never_in_1_s": accuracy.first.never_in_1_s,
-        "cer": accuracy.cer,
         "false_alarms": accuracy.false_alarms,
         "confusions": accuracy.confusions,
     }
