@@ -46,6 +46,36 @@ def test_streaks_are_not_round_in_either_measure(width: int) -> None:
         assert found.verdict[0] == shape.NOT_ROUND
 
 
+def in_ticks(mask: Mask, ticks: list[int], *, is_fine: bool = True) -> Targets:
+    """Return the target whose pixels fire once each, in these of a window's five ticks in turn."""
+    y, x = np.nonzero(mask)
+    t = np.resize(np.array(ticks, np.float64), len(x))
+    once, never = np.ones(len(x), np.int32), np.zeros(len(x), np.int32)
+    active = Active(x.astype(np.int32), y.astype(np.int32), once, never, np.stack([t, t**2]))
+    labels = np.zeros(len(x), np.int32)
+    rule = ShapeFilter(4, 2000, 0.5, "distinct")
+    return shape.measure(active, labels, np.zeros(1, np.bool_), 1, rule, 5, 1e-3, is_fine=is_fine)
+
+
+@pytest.mark.parametrize("ticks", [[0], [4], [1, 2], [2, 2, 2, 3]])
+def test_a_disc_whose_pixels_fire_once_but_at_once_is_a_switched_light(ticks: list[int]) -> None:
+    assert in_ticks(disc(2.6), ticks).switched.tolist() == [True]
+
+
+def test_what_takes_the_whole_window_or_is_no_disc_or_tiny_is_no_switched_light() -> None:
+    streak = np.zeros((64, 64), np.bool_)
+    streak[10:12, 10:16] = True
+    two_by_two = np.zeros((64, 64), np.bool_)
+    two_by_two[10:12, 10:12] = True
+    assert in_ticks(disc(2.6), [0, 1, 2, 3, 4]).switched.tolist() == [False]
+    assert in_ticks(streak, [2]).switched.tolist() == [False]
+    assert in_ticks(two_by_two, [2]).switched.tolist() == [False]
+
+
+def test_images_and_slow_scans_tell_nothing_of_what_comes_at_once() -> None:
+    assert in_ticks(disc(2.6), [2], is_fine=False).switched.tolist() == [False]
+
+
 def swept(radius_px: float, dx_px: float, dy_px: float) -> Mask:
     """Return the pixels that a disc has covered on its way."""
     out = np.zeros((64, 64), np.bool_)

@@ -39,9 +39,14 @@ def test_a_birth_is_the_nearest_track_that_was_lost_before_it_began() -> None:
     assert recovery.lost(rows, 3, np.array([2]), TrackerConfig()) is None
 
 
-@pytest.mark.parametrize(("events", "both", "expected"), [(20, 0, False), (24, 0, True), (20, 5, True), (20, 4, False)])
-def test_pixels_that_fire_twice_or_both_ways_are_a_switched_light(events: int, both: int, expected: bool) -> None:
-    found = shape.is_switched(np.array([20]), np.array([events]), np.array([both]))
+@pytest.mark.parametrize(
+    ("events", "both", "at_once", "expected"),
+    [(20, 0, False, False), (24, 0, False, True), (20, 5, False, True), (20, 4, False, False), (20, 0, True, True)],
+)
+def test_pixels_that_fire_twice_or_both_ways_or_at_once_are_a_switched_light(
+    events: int, both: int, at_once: bool, expected: bool
+) -> None:
+    found = shape.is_switched(np.array([20]), np.array([events]), np.array([both]), np.array([at_once]))
     assert found.tolist() == [expected]
 
 

@@ -21,7 +21,7 @@ def target(on: int, off: int, pixels: int = 12) -> Targets:
     return Targets(
         50 * whole, 50 * whole, np.array([pixels], np.int32), 2.5 * whole, 2.5 * whole, np.array([on], np.int32),
         np.array([off], np.int32), np.zeros(1, np.int32), whole, np.zeros((1, 2)), np.zeros(1, np.uint8),
-        np.zeros(1), np.zeros((1, 2)), np.zeros(1), np.zeros(1, np.bool_),
+        np.zeros(1), np.zeros((1, 2)), np.zeros(1), np.zeros(1, np.bool_), np.zeros(1, np.bool_),
     )  # fmt: skip
 
 

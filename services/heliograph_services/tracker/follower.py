@@ -42,6 +42,10 @@ LEAVE_PX: Final = 8.0
 # At 1 kbit/s nine windows of ten show an edge of the code; at 50 bit/s one of three, and what is seen between is where
 # a lit LED goes.
 BLINKING: Final = 0.7
+# That events came at once says something where a window has several ticks and the sensor's instants are finer still:
+# then neighbouring ticks have events, now and then. Images, and the scans of a sensor under load, lie apart.
+FINE_TICKS: Final = 4
+FINE_US: Final = 500_000
 
 _REFUSED: Final = (
     (shape.TOO_FEW, Refusal.TOO_FEW_PIXELS),
@@ -139,6 +143,8 @@ class GridFollower:
         self._steering = Steering(motion, config.prediction, config.initial_speed_px_s)
         self._identities = Identities()
         self._at_us = 0
+        # End of the last window that had events in neighbouring ticks.
+        self._fine_us = -FINE_US - 1
         self.table = TrackTable()
 
     def step(self, window: Window) -> bool:
@@ -279,6 +285,8 @@ class GridFollower:
         if count > TARGETS_LIMIT:
             self._counters["windows_flooded"] += 1
             return None
+        if np.any(np.diff(window.tick) == 1):
+            self._fine_us = window.end_us
         targets = self._measured(window, active, labels, np.zeros(count, np.bool_))
         carved = carve(active, labels, targets, self._clusterer.labels, self._config.min_pixels)
         around = np.zeros(count, np.bool_)
@@ -302,7 +310,9 @@ class GridFollower:
 
     def _measured(self, window: Window, active: Active, labels: Ints, piece: Flags) -> Targets:
         ticks = (window.end_us - window.start_us) // window.tick_us
-        return shape.measure(active, labels, piece, self._pool_px, self._rule, ticks, window.tick_us / US_PER_S)
+        is_fine = ticks >= FINE_TICKS and window.end_us - self._fine_us <= FINE_US
+        tick_s = window.tick_us / US_PER_S
+        return shape.measure(active, labels, piece, self._pool_px, self._rule, ticks, tick_s, is_fine=is_fine)
 
     def _blinking(self) -> Flags:
         """Return (n,) bool: the rows that are seen as a light that is switched, and by what else passes, not at all."""

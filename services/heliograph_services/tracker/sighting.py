@@ -159,7 +159,7 @@ def see(table: TrackTable, filters: Filters, seen: Sighting, targets: Targets, e
     table.polarity[rows] = (on - off) / (on + off)
     sign = signs(table.polarity[rows])
     both = seen.sum(targets.both)
-    switched = is_switched(total, on + off, both)
+    switched = is_switched(total, on + off, both, seen.sum(~targets.at_once) == 0)
     blinked = (both >= BOTH_SHARE * total) | ((sign * table.sign[rows] < 0) & switched)
     blinked |= _relit(table, rows, (on - off) >= CLEAR * (on + off), seen_px, end_us, rule)
     table.blinks[rows] += blinked
