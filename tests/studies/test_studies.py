@@ -17,9 +17,7 @@ from heliograph.edits import edits
 from heliograph.errors import ConfigError
 from heliograph.link.contract import edges_of
 from heliograph.link.uart_layout import text_bits
-from heliograph.messages import Identification, Tracks
-from heliograph.streams import Onsets
-from heliograph_services.cli.pipeline import ONE_PROCESS
+from heliograph.messages import Identification
 from heliograph_services.cli.studies import (
     bit_rate,
     contest,
@@ -33,13 +31,10 @@ from heliograph_services.cli.studies import (
 )
 from heliograph_services.cli.studies.catalogue import load
 from heliograph_services.cli.studies.contest import Scene, counts, watch
-from heliograph_services.cli.studies.running import Setting, opened
 from heliograph_services.cli.studies.study import Cell, Done, worse_than
 from heliograph_services.cli.studies.windows_rule import read_windows
 from heliograph_services.event_source.simulation.stream import SceneStream
 from heliograph_services.event_source.simulation.world.load import load_scenario
-from heliograph_services.tracker.config import TrackerConfig
-from heliograph_services.tracker.core import make_core as make_tracker
 
 PEER = "heliograph_services.cli.studies.peers:paper"
 
@@ -106,24 +101,6 @@ def test_a_name_is_right_where_the_beacon_that_bears_it_is() -> None:
     assert scene.is_right(Identification(**fields, beacon=names[0]), run.paths)
     assert not scene.is_right(Identification(**fields, beacon=names[1]), run.paths)
     assert not scene.is_right(Identification(**fields | {"x_px": -900.0}, beacon=names[0]), run.paths)
-
-
-def test_a_still_light_before_a_camera_that_compares_images_is_followed_as_the_study_sets_the_tracker(
-    tmp_path: Path,
-) -> None:
-    seen = methods.scene(methods._cell("images", 50.0, 5.0, False, 0, 1.0), 7)
-    assert seen.tracker == {"paper": {"confirm_blinks": 0}}
-    trackers = {name: make_tracker(TrackerConfig(**given), ONE_PROCESS) for name, given in
-                {"shipped": {}, **seen.tracker}.items()}  # fmt: skip
-    followed = dict.fromkeys(trackers, 0)
-    with opened(Setting(seen.text, 7, 1.0, source={"fidelity": "live"}), tmp_path) as stream:
-        for step in stream:
-            for name, tracker in trackers.items():
-                said = [out for one in step.messages if isinstance(one, Onsets) for out in tracker.feed(one)]
-                followed[name] += sum(len(one.track) for one in said if isinstance(one, Tracks))
-    # Why the study does so: every pixel tells an edge once, which looks like an edge that passes.
-    assert followed["shipped"] == 0
-    assert followed["paper"] > 5
 
 
 def test_r95_begins_where_a_scene_has_all_beacons() -> None:

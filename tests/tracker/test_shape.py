@@ -72,8 +72,11 @@ def test_what_takes_the_whole_window_or_is_no_disc_or_tiny_is_no_switched_light(
     assert in_ticks(two_by_two, [2]).switched.tolist() == [False]
 
 
-def test_images_and_slow_scans_tell_nothing_of_what_comes_at_once() -> None:
-    assert in_ticks(disc(2.6), [2], is_fine=False).switched.tolist() == [False]
+def test_in_images_and_slow_scans_only_a_disc_of_nine_pixels_is_a_switched_light() -> None:
+    crown = disc(2.6) & ~disc(1.5)
+    assert in_ticks(disc(1.5), [2], is_fine=False).switched.tolist() == [True]
+    assert in_ticks(disc(1.2), [2], is_fine=False).switched.tolist() == [False]
+    assert in_ticks(crown, [2], is_fine=False).switched.tolist() == [False]
 
 
 def swept(radius_px: float, dx_px: float, dy_px: float) -> Mask:

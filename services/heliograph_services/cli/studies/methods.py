@@ -20,9 +20,9 @@ not bounds: with 3 runs bounds would say little.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Final, Literal
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
 
 import numpy as np
 
@@ -59,7 +59,6 @@ class Method:
         own_rate: the rate at which it is moved and taken away.
         data_share: of its bits on the air that are data.
         sensor: preset and overrides.
-        tracker: settings of the tracker before it.
     """
 
     about: str
@@ -71,13 +70,9 @@ class Method:
     own_rate: float
     data_share: float
     sensor: str = 'sensor = "dvxplorer_mini"'
-    tracker: Mapping[str, Any] = field(default_factory=dict)
 
 
 _SEED: Final = 6.0 / 11.0
-# A camera that compares images tells a pixel's change once, however large: by its events a light that is switched looks
-# like an edge that passes, and our tracker, as shipped, would never begin a track of one that stands still.
-IMAGES_TRACKER: Final[dict[str, Any]] = {"confirm_blinks": 0}
 METHODS: Final = {
     "images": Method(
         "images at 200 Hz (IV 2007), the paper's rule",
@@ -89,7 +84,6 @@ METHODS: Final = {
         50.0,
         _SEED,
         'sensor = "nrp"\noverride = { "readout.image_hz" = 200.0 }',
-        IMAGES_TRACKER,
     ),
     "binning": Method(
         "binning (Perez-Ramirez 2019)",
@@ -224,7 +218,7 @@ def scene(one: Parameters, seed: int) -> Scene:
         f"clock_ppm = {rng.uniform(-CLOCK_PPM, CLOCK_PPM):.1f}\nstart_us = {rng.uniform(0.0, 11e6 / rate):.1f}\n"
         f"path = {path}\n"
     )
-    return Scene(text, seconds, method.protocol, rate, tracker={method.arm: method.tracker})
+    return Scene(text, seconds, method.protocol, rate)
 
 
 def tables(done: Sequence[Done]) -> list[Table]:
@@ -285,8 +279,8 @@ STUDY: Final = Study(
     title="Methods on one scene",
     about=(
         "The paper's table of methods, measured: one beacon of .4 W/sr, 16 mm f/1.4, indoors, still at 5 m and beyond,"
-        " and at 2 m/s across the image at 5 m. All are read behind our tracker, images behind one that asks for no"
-        " blinking (`confirm_blinks` 0). The quoted column is the paper's own table."
+        " and at 2 m/s across the image at 5 m. All are read behind our tracker. The quoted column is"
+        " the paper's own table."
     ),
     preset="dvxplorer_mini (VARIABLE_5000), 16 mm f/1.4; nrp at 200 images a second",
     evidence="simulated",
