@@ -91,9 +91,9 @@ def test_a_payload_outside_the_range_is_refused(payload: int) -> None:
 def test_unknown_options_and_receivers_are_refused_with_the_choice() -> None:
     with pytest.raises(ValueError, match="parity must be one of even, paper_text, not 'odd'"):
         Seed11("odd")
-    with pytest.raises(ValueError, match="receiver of seed11 must be one of default, paper, binning, not 'best'"):
+    with pytest.raises(ValueError, match="receiver of seed11 must be one of default, paper, paper_tuned, binning"):
         Seed11().receiver(1000.0, "best")
-    with pytest.raises(ValueError, match="receiver of code must be one of default, binning, not 'paper'"):
+    with pytest.raises(ValueError, match="receiver of code must be one of default, binning, binning_tuned"):
         modulation("code").receiver(1000.0, "paper")
     with pytest.raises(ValueError, match="bit rate must be in"):
         Seed11().receiver(0.0)

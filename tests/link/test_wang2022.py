@@ -14,7 +14,7 @@ from heliograph.errors import Refusal
 from heliograph.link.contract import LinkFrame
 from heliograph.link.modulations import modulation
 from heliograph.link.uart_layout import character_bits
-from heliograph.link.wang2022 import WangParameters, WangReceiver, published
+from heliograph.link.wang2022 import WangParameters, WangReceiver, published, tuned
 from reference.wang_plain import characters
 from support.text_light import TextLight, Watched, hear, joined, watch_text
 
@@ -163,3 +163,11 @@ def accuracy(folder: Path, name: str, bit_rate: float, parameters: WangParameter
         bits += sum(a == b for a, b in pairs)
     print(f"{name}: MAR {right / len(sent):.3f}, BAR {bits / len(sent) / 11:.3f}")
     return right / len(sent), bits / len(sent) / 11
+
+
+def test_tuned_parameters_have_lower_thresholds_and_a_higher_cutoff_than_published_ones() -> None:
+    for rate in (100.0, 504.0, 1500.0, 3125.0):
+        was, now = published(rate), tuned(rate)
+        assert 0.0 < now.upper < was.upper
+        assert was.lower < now.lower < 0.0
+        assert now.cutoff > was.cutoff

@@ -1,7 +1,8 @@
 """The sink as a process whose disk fails, or that is killed: told once, survived, and nothing lost that was committed.
 
 A full and a read-only file system are real ones: the sink starts in a mount namespace of its own, with a small tmpfs
-where its file is (permissions alone would not bind root). What the test does there goes through /proc/{pid}/root.
+where its file is (permissions alone would not bind root). Its files are reached through /proc/{pid}/root; remounts,
+and copies of a database, enter the namespace.
 """
 
 from __future__ import annotations

@@ -135,7 +135,7 @@ def test_a_truth_without_frames_and_an_arm_that_is_not_there_are_said() -> None:
     text = crowd_size.SCENARIO.format(count=1, rate=2000.0, fresh="true")
     with pytest.raises(ConfigError, match=r"the truth holds no frames that count in 0\.2 s"):
         watch(Scene(text, 0.2, "seed11", 2000.0), 5, ["core"])
-    with pytest.raises(ConfigError, match="an arm must be ours, paper, wang2022"):
+    with pytest.raises(ConfigError, match="an arm must be ours, paper, paper_tuned, wang2022"):
         watch(Scene(text, 0.2, "seed11", 2000.0), 5, ["nobody"])
 
 

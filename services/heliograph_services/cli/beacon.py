@@ -1,12 +1,15 @@
-"""`heliograph beacon`: who is on the serial lines, and what they are told; a client of the beacon controller.
+"""Who is on the serial lines, and what they are told.
+
+A client of the beacon controller:
 
     heliograph beacon list|watch SITE.toml
     heliograph beacon set SITE.toml NAME --payload 42 --bit-rate 1000
-    heliograph beacon arm SITE.toml NAME --lease 600      dark again after ten minutes
+    heliograph beacon arm SITE.toml NAME --lease 600     dark after 10 min
     heliograph beacon send SITE.toml NAME "hello"
     heliograph beacon disarm|save SITE.toml NAME
 
-Exit status 0 where the beacon has done it, 1 where it has not, 2 where nobody could be asked.
+Exit status 0 where the beacon has done it, 1 where it has not, 2 where nobody
+could be asked.
 """
 
 from __future__ import annotations

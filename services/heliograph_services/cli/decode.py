@@ -54,7 +54,7 @@ def parser() -> argparse.ArgumentParser:
         "--receiver",
         default=None,
         metavar="NAME",
-        help="default; others' to compare: paper, binning (seed11), wang2022 (uart)",
+        help="default; to compare: paper, binning (seed11), wang2022 (uart), and with _tuned",
     )
     made.add_argument(
         "--option", action="append", default=[], metavar="KEY=VALUE", help="of the protocol, e.g. parity=paper_text"

@@ -1,8 +1,9 @@
-"""`heliograph evaluate [STUDY ...]`: the paper's figures and tables, beside ours, made on this machine.
+"""The paper's figures and tables, beside ours, made on this machine.
 
-Each study leaves in --out: STUDY.jsonl (its cells), STUDY.json (its result), STUDY.png (where matplotlib is), and all
-together results.md. A run that was interrupted goes on with --resume. Without studies: all of them. Exit status 0 if
-all cells are done.
+Each study leaves in --out: STUDY.jsonl (its cells), STUDY.json (its result),
+STUDY.png (where matplotlib is), and all together results.md. A run that was
+interrupted goes on with --resume. Without studies: all of them. Exit status 0
+if all cells are done.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ def run(argv: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(
         prog="heliograph evaluate",
         description=__doc__,
-        epilog=f"studies, with about how many CPU seconds a full and a quick run take:\n{costs()}",
+        epilog=f"studies; about how many CPU seconds a full and a quick run take:\n{costs()}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("study", nargs="*", metavar="STUDY", help="which studies; `list` names them (default: all)")
@@ -76,16 +77,16 @@ def run(argv: Sequence[str]) -> int:
 
 def costs() -> str:
     """Return the studies, a line each, with what they cost, and the sums."""
-    lines = [f"  {name:<14}{full:>7} {quick:>5}  {STUDIES[name]}" for name, (full, quick) in COST_S.items()]
+    lines = [f"  {name:<13}{full:>6} {quick:>4}  {STUDIES[name]}" for name, (full, quick) in COST_S.items()]
     full, quick = (sum(cost[i] for cost in COST_S.values()) for i in range(2))
-    return "\n".join([*lines, f"  {'all':<14}{full:>7} {quick:>5}"])
+    return "\n".join([*lines, f"  {'all':<13}{full:>6} {quick:>4}"])
 
 
 def _list(*, as_json: bool) -> int:
     for name, about in STUDIES.items():
         full, quick = COST_S[name]
         told = {"type": "study", "name": name, "about": about, "full_cpu_s": full, "quick_cpu_s": quick}
-        print(json.dumps(told) if as_json else f"{name:<14}{full:>7} {quick:>5}  {about}")
+        print(json.dumps(told) if as_json else f"{name:<13}{full:>6} {quick:>4}  {about}")
     return 0
 
 

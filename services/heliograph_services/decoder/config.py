@@ -39,7 +39,7 @@ class DecoderConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     ] = 1000.0
     receiver: Annotated[
         Name,
-        Meta(description="the receiver of every modulation that has it: default; paper, binning, wang2022 to compare"),
+        Meta(description="receiver of each modulation that has it: default; to compare: paper, binning, wang2022"),
     ] = "default"
     options: Annotated[
         dict[str, str | int], Meta(description="the modulation's own settings without listed beacons")

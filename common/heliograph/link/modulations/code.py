@@ -12,7 +12,7 @@ from heliograph.link.codebook import load
 from heliograph.link.contract import Bits, Receiver
 from heliograph.link.frames import PERIODIC, Periodic, bits_of
 
-RECEIVERS = ("default", "binning")
+RECEIVERS = ("default", "binning", "binning_tuned")
 
 
 class Code:
@@ -58,10 +58,10 @@ class Code:
         Raises:
             ValueError: the name is none of `RECEIVERS`, or the bit rate is out of range.
         """
-        if name == "binning":
-            from heliograph.link.binning import BinningReceiver  # noqa: PLC0415 - for symmetry
+        if name in ("binning", "binning_tuned"):
+            from heliograph.link.binning import TUNED_EVENTS, BinningReceiver  # noqa: PLC0415 - for symmetry
 
-            return BinningReceiver(self.code, bit_rate)
+            return BinningReceiver(self.code, bit_rate, 1 if name == "binning" else TUNED_EVENTS)
         if name != "default":
             raise ValueError(f"receiver of code must be one of {', '.join(RECEIVERS)}, not {name!r}")
         from heliograph.link.cyclic import CyclicReceiver  # noqa: PLC0415 - numba, only where something is received

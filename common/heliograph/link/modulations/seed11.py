@@ -11,7 +11,7 @@ from typing import cast
 from heliograph.link.contract import Bits, Receiver
 from heliograph.link.frames import PARITIES, PERIODIC, Parity, Periodic, bits_of, seed11_code
 
-RECEIVERS = ("default", "paper", "binning")
+RECEIVERS = ("default", "paper", "paper_tuned", "binning", "binning_tuned")
 
 
 class Seed11:
@@ -68,12 +68,12 @@ class Seed11:
             from heliograph.link.cyclic import CyclicReceiver  # noqa: PLC0415 - numba, only where something is received
 
             return CyclicReceiver(self.code, bit_rate, self._periodic)
-        if name == "paper":
-            from heliograph.link.paper import PaperReceiver  # noqa: PLC0415 - for symmetry
+        if name in ("paper", "paper_tuned"):
+            from heliograph.link.paper import PUBLISHED, TUNED, PaperReceiver  # noqa: PLC0415 - for symmetry
 
-            return PaperReceiver(self.code, bit_rate)
-        if name == "binning":
-            from heliograph.link.binning import BinningReceiver  # noqa: PLC0415 - for symmetry
+            return PaperReceiver(self.code, bit_rate, PUBLISHED if name == "paper" else TUNED)
+        if name in ("binning", "binning_tuned"):
+            from heliograph.link.binning import TUNED_EVENTS, BinningReceiver  # noqa: PLC0415 - for symmetry
 
-            return BinningReceiver(self.code, bit_rate)
+            return BinningReceiver(self.code, bit_rate, 1 if name == "binning" else TUNED_EVENTS)
         raise ValueError(f"receiver of seed11 must be one of {', '.join(RECEIVERS)}, not {name!r}")

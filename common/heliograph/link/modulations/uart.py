@@ -9,7 +9,7 @@ from heliograph.link.uart_layout import text_bits
 
 __all__ = ["Uart", "warm"]
 
-RECEIVERS = ("default", "wang2022")
+RECEIVERS = ("default", "wang2022", "wang2022_tuned")
 
 
 class Uart:
@@ -33,8 +33,8 @@ class Uart:
         """
         if name == "default":
             return ClockedTextReceiver(bit_rate)
-        if name == "wang2022":
-            from heliograph.link.wang2022 import WangReceiver  # noqa: PLC0415 - a kernel that only comparisons need
+        if name in ("wang2022", "wang2022_tuned"):
+            from heliograph.link.wang2022 import WangReceiver, tuned  # noqa: PLC0415 - only comparisons need its kernel
 
-            return WangReceiver(bit_rate)
+            return WangReceiver(bit_rate, None if name == "wang2022" else tuned(bit_rate))
         raise ValueError(f"receiver of uart must be one of {', '.join(RECEIVERS)}, not {name!r}")

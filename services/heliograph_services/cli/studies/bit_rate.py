@@ -40,7 +40,11 @@ BITS_A_SCAN: Final = (0.25, 0.4, 0.5, 0.8)
 QUOTED: Final = "> .94"
 QUOTED_RATE: Final = 2500.0
 CLOCK_PPM: Final = 100.0
-ARMS: Final = {"fresh": ["ours", "core"], "repeats": ["paper"], "text": ["ours", "wang2022"]}
+ARMS: Final = {
+    "fresh": ["ours", "core"],
+    "repeats": list(contest.PAPERS.values()),
+    "text": ["ours", *contest.WANGS.values()],
+}
 
 SCENARIO: Final = """about = "a still beacon at 50 cm, indoors"
 irradiance_w_m2 = 2.0
@@ -122,7 +126,8 @@ def letters(rng: np.random.Generator, rate: float, seconds: float) -> str:
     return "".join(TEXT_LETTERS[i] for i in rng.integers(0, len(TEXT_LETTERS), n))
 
 
-COLUMNS: Final = {"the paper's receiver": "paper", "ours": "ours", "genie": "core"}
+COLUMNS: Final = {**contest.PAPERS, "ours": "ours", "genie": "core"}
+TEXT: Final = {**contest.WANGS, "ours": "ours"}
 
 
 def tables(done: Sequence[Done]) -> list[Table]:
@@ -135,12 +140,12 @@ def tables(done: Sequence[Done]) -> list[Table]:
         rows.append(contest.row(f"{mode}, {rate:g} bit/s", some, columns, quoted))
     text = [one for one in done if one["sends"] == "text"]
     said = [
-        contest.row(f"{mode}, {rate:g} bit/s", some, {"wang2022": "wang2022", "ours": "ours"})
+        contest.row(f"{mode}, {rate:g} bit/s", some, TEXT)
         for (mode, rate), some in sorted(contest.grouped(text, "mode", "rate").items(), key=_order)
     ]
     return [
         Table("Codes (`seed11`): MAR_sent", tuple(columns), rows, "The paper's receiver: a payload that repeats."),
-        Table("Text (`uart`): characters right", ("wang2022", "ours"), said),
+        Table("Text (`uart`): characters right", tuple(TEXT), said),
     ]
 
 
@@ -157,9 +162,9 @@ def panels(done: Sequence[Done]) -> list[Panel]:
         for name, sends, arm in (
             ("ours", "fresh", "ours"),
             ("genie", "fresh", "core"),
-            ("the paper's receiver", "repeats", "paper"),
-            ("wang2022 (text)", "text", "wang2022"),
             ("ours (text)", "text", "ours"),
+            *((name, "repeats", arm) for name, arm in contest.PAPERS.items()),
+            *((f"{name} (text)", "text", arm) for name, arm in contest.WANGS.items()),
         )
     ]
     fresh = [one for one in done if one["sends"] == "fresh" and one["mode"] != MAIN]

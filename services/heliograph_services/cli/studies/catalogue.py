@@ -10,16 +10,16 @@ from heliograph_services.cli.studies.study import Study
 
 # In the order of docs/results.md.
 STUDIES: Final[dict[str, str]] = {
-    "scene": "a picture: a flight over a construction site, with what was decoded laid over it",
-    "bit_rate": "MAR of a still beacon at 50 cm over its bit rate, in every read-out mode",
-    "distance": "MAR over distance, two lenses, indoors and in the sun; R95",
-    "moving": "the table of moving beacons: simulated camera, with and without flow; 2 m/s at 5 and 16 m",
-    "methods": "the table of methods on one scene: throughput, goodput, tracking, range",
-    "wavelength": "LED wavelength and half angle over range and solar irradiance",
+    "scene": "a picture: a flight, with what was decoded",
+    "bit_rate": "MAR at 50 cm over bit rate, in every read-out mode",
+    "distance": "MAR over distance, indoors and in the sun; R95",
+    "moving": "moving beacons: 2 m/s; a flight, with flow or not",
+    "methods": "methods on one scene: throughput, tracking, range",
+    "wavelength": "the LED's wavelength and half angle, in the sun",
     "recordings": "characters of real recordings, thinned",
-    "false_alarms": "false alarms and confusions: clutter, noise, a real scene, crowds",
+    "false_alarms": "false alarms and confusions: clutter, noise, a room",
     "crowd_size": "1 to 200 beacons at once",
-    "distribution": "the tracker behind a radio link, real processes: bit rate, delay, cuts, bytes",
+    "distribution": "the tracker behind a slow link, with real processes",
 }
 # About how many CPU seconds a full and a quick run take on a core of two shared ones (x86, 2026). From measured
 # cells of all kinds: scene, wavelength; of some kinds, the rest by camera seconds, bit rate and readers: bit_rate,

@@ -1,9 +1,10 @@
 """One scene before several readers, and what each made of every frame: what most studies are made of.
 
 Readers (*arms*) get the very same events. `ours` is tracker and decoder as shipped, from a cold start; `paper`,
-`wang2022`, `binning` another receiver on our tracks; `core` and `whole` the genie with one of its ears
-(`genie`); `MODULE:NAME` a decoder that was plugged in (`peers`, docs/compare.md). The paper's receiver takes it for
-granted that a payload repeats, so scenes are told whether it does.
+`wang2022`, `binning` another receiver on our tracks, as published, and with `_tuned` behind the name with the setting
+that reads most on development seeds (`heliograph.link.paper`, `wang2022`, `binning`); `core` and `whole` the genie with
+one of its ears (`genie`); `MODULE:NAME` a decoder that was plugged in (`peers`, docs/compare.md). The paper's receiver
+takes it for granted that a payload repeats, so scenes are told whether it does.
 
 The counts of an arm are blocks of a beacon and a second: both, then frames sent, read right and read wrong, bits sent
 and bits right by slot, of the frames that count for MAR_sent (visible), K = 1 (docs/metrics.md).
@@ -40,7 +41,10 @@ from heliograph_services.tracker.config import TrackerConfig
 OURS: Final = "ours"
 EARS: Final = ("core", "whole")
 # Arms of ours with another receiver.
-RECEIVERS: Final = ("paper", "wang2022", "binning")
+RECEIVERS: Final = ("paper", "paper_tuned", "wang2022", "wang2022_tuned", "binning", "binning_tuned")
+# Columns of others' receivers: as published, and with the one setting that reads most on development seeds.
+PAPERS: Final = {"the paper's receiver": "paper", "the paper's receiver, tuned": "paper_tuned"}
+WANGS: Final = {"wang2022": "wang2022", "wang2022, tuned": "wang2022_tuned"}
 # Columns of a block.
 SENT: Final = 2
 READ: Final = 3

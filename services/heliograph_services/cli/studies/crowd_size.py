@@ -54,7 +54,7 @@ def cells(size: Size) -> list[Parameters]:
 
 
 def _cell(count: int, rate: float, sends: str, run: int, seconds: float) -> Parameters:
-    arms = ["ours", "core"] if sends == "fresh" else ["paper"]
+    arms = ["ours", "core"] if sends == "fresh" else list(contest.PAPERS.values())
     return {"arms": arms, "count": count, "rate": rate, "sends": sends, "run": run, "seconds": seconds}
 
 
@@ -71,7 +71,7 @@ def run(cell: Cell) -> Counts:
     return contest.counts(found) | {"tracks": len(tracks), "close": close, "visible": int(found.sent.visible.sum())}
 
 
-COLUMNS: Final = {"the paper's receiver": "paper", "ours": "ours", "genie": "core"}
+COLUMNS: Final = {**contest.PAPERS, "ours": "ours", "genie": "core"}
 
 
 def tables(done: Sequence[Done]) -> list[Table]:

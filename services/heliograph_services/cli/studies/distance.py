@@ -23,7 +23,6 @@ from heliograph_services.cli.studies.link_scenes import F_NUMBERS
 from heliograph_services.cli.studies.study import (
     Cell,
     Counts,
-    Curve,
     Done,
     Figure,
     Panel,
@@ -34,7 +33,11 @@ from heliograph_services.cli.studies.study import (
     Table,
 )
 
-ARMS: Final = {"fresh": ["ours", *contest.EARS], "repeats": ["paper"], "text": ["ours", "wang2022"]}
+ARMS: Final = {
+    "fresh": ["ours", *contest.EARS],
+    "repeats": list(contest.PAPERS.values()),
+    "text": ["ours", *contest.WANGS.values()],
+}
 DISTANCES_M: Final = (0.5, 1.0, 2.0, 5.0, 11.5, 16.0, 30.0, 50.0, 75.0, 100.0)
 LENSES_MM: Final = (3.6, 16.0)
 RATES: Final = (100.0, 1000.0, 2500.0)
@@ -135,8 +138,17 @@ def r95(done: Sequence[Done], arm: str) -> Figure:
     return Figure(reached if tested else None, n=tested, unit="m")
 
 
-COLUMNS: Final = {"the paper's receiver": "paper", "ours": "ours", "genie": "genie"}
-TEXT: Final = {"wang2022": "wang2022", "ours": "ours"}
+COLUMNS: Final = {**contest.PAPERS, "ours": "ours", "genie": "genie"}
+TEXT: Final = {**contest.WANGS, "ours": "ours"}
+
+# What is sent, name of the curve, arm.
+DRAWN: Final = (
+    ("fresh", "ours", "ours"),
+    ("fresh", "genie", "genie"),
+    ("text", "ours (text)", "ours"),
+    *(("repeats", name, arm) for name, arm in contest.PAPERS.items()),
+    *(("text", f"{name} (text)", arm) for name, arm in contest.WANGS.items()),
+)
 
 
 def tables(done: Sequence[Done]) -> list[Table]:
@@ -145,7 +157,7 @@ def tables(done: Sequence[Done]) -> list[Table]:
     text = [one for one in done if one["sends"] == "text"]
     columns = {**COLUMNS, **contest.plugged(codes)}
     ranges = [*_ranges(codes, columns, "codes"), *_ranges(text, TEXT, "text")]
-    names = ("wang2022", *columns)
+    names = (*contest.WANGS, *columns)
     rows = [
         contest.row(_name(key), some, columns, QUOTED.get((key[3], key[1], key[2], key[0]), "-"))
         for key, some in contest.grouped(codes, "light", "focal_mm", "rate", "distance_m").items()
@@ -182,24 +194,18 @@ def _ranges(done: Sequence[Done], columns: dict[str, str], what: str) -> list[Ro
 
 
 def panels(done: Sequence[Done]) -> list[Panel]:
-    """Return a panel for each lens and light."""
+    """Return a panel for each bit rate (a row), light and lens."""
     out = []
-    for (light, focal_mm), some in contest.grouped(done, "light", "focal_mm").items():
-        curves: list[Curve] = []
-        for sends, names in (
-            ("fresh", {"ours": "ours", "genie": "genie"}),
-            ("repeats", {"paper's receiver": "paper"}),
-            ("text", {"wang2022": "wang2022"}),
-        ):
-            mine = [one for one in some if one["sends"] == sends]
-            for (rate,), each in contest.grouped(mine, "rate").items():
-                curves += [curve(f"{name}, {rate:g} bit/s", each, arm, "distance_m") for name, arm in names.items()]
+    for (rate, light, focal_mm), some in sorted(contest.grouped(done, "rate", "light", "focal_mm").items()):
+        by = {sends: [one for one in some if one["sends"] == sends] for sends in ARMS}
+        curves = [curve(name, by[sends], arm, "distance_m") for sends, name, arm in DRAWN]
         quoted = [
-            (d, float(value), f"the paper (quoted), {rate:g} bit/s")
-            for (d, f, rate, where), value in QUOTED.items()
-            if (f, where) == (focal_mm, light)
+            (d, float(value), "the paper (quoted)")
+            for (d, f, r, where), value in QUOTED.items()
+            if (f, r, where) == (focal_mm, rate, light)
         ]
-        out.append(Panel(f"{light}, {focal_mm:g} mm", "m", "MAR_sent", curves, log_x=True, quoted=quoted))
+        title = f"{light}, {focal_mm:g} mm, {rate:g} bit/s"
+        out.append(Panel(title, "m", "MAR_sent", curves, log_x=True, quoted=quoted))
     return out
 
 

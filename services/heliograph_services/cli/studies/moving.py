@@ -6,7 +6,7 @@ The conditions are those of `link_scenes`. Who reads, the same events for all:
     ours/flow     the same with the flow network, where the paper has it (the simulated camera)
     paper/flow    the paper's receiver behind the paper's tracker, with flow, and paper/still without it
     genie         our receivers along the true path at the true bit rate, with the better of two ears
-    paper         the paper's receiver on our tracks; text: `wang2022`
+    paper         the paper's receiver on our tracks, as published and tuned; text: `wang2022`, likewise
 
 The paper's receiver takes it for granted that a payload repeats: it has scenes of its own, in which it does. Every
 frame that ours lost has a cause, the first that holds: *wrong* (published with other bits), *no track* (the tracker's
@@ -72,9 +72,9 @@ def cells(size: Size) -> list[Parameters]:
 def _cell(name: str, sends: str, run: int, seconds: float) -> Parameters:
     condition = BY_NAME[name]
     if sends == "repeats":
-        arms = ["paper", "paper/flow", "paper/still"] if name == NRP else ["paper"]
+        arms = [*contest.PAPERS.values(), *(("paper/flow", "paper/still") if name == NRP else ())]
     elif condition.protocol == "uart":
-        arms = ["ours", "wang2022", *contest.EARS]
+        arms = ["ours", *contest.WANGS.values(), *contest.EARS]
     else:
         arms = ["ours", "ours/flow", *contest.EARS] if name == NRP else ["ours", *contest.EARS]
     return {"arms": arms, "condition": name, "sends": sends, "run": run, "seconds": seconds}
@@ -140,14 +140,14 @@ def lost(found: contest.Run, places: Sequence[npt.NDArray[np.float64]]) -> dict[
     }
 
 
-COLUMNS: Final = {"the paper's receiver": "paper", "ours": "ours", "genie": "genie"}
+COLUMNS: Final = {**contest.PAPERS, "ours": "ours", "genie": "genie"}
 NRP_COLUMNS: Final = {
     "paper's tracker, flow": "paper/flow",
     "paper's tracker, no flow": "paper/still",
     **COLUMNS,
     "ours, flow": "ours/flow",
 }
-TEXT_COLUMNS: Final = {"wang2022": "wang2022", "ours": "ours", "genie": "genie"}
+TEXT_COLUMNS: Final = {**contest.WANGS, "ours": "ours", "genie": "genie"}
 
 
 def tables(done: Sequence[Done]) -> list[Table]:

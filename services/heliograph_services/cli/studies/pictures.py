@@ -1,14 +1,23 @@
-"""Plots of studies (matplotlib, `heliograph[analysis]`)."""
+"""Plots of studies (matplotlib, `heliograph[analysis]`): panels in rows of at most `PANELS_A_ROW`.
+
+Names stand below, never over a curve: once for all panels where these show the same, else under each.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from heliograph.errors import FileError
 from heliograph_services.cli.studies.study import Done, Panel, Study
+
+PANELS_A_ROW: Final = 4
+# Inches of a panel; of a row of panels, the lower where names stand once below all.
+WIDTH_IN: Final = 6.2
+ROW_IN: Final = 3.6
+ROW_NAMED_IN: Final = 4.9
 
 
 def can_draw() -> bool:
@@ -38,11 +47,9 @@ def draw(study: Study, done: Sequence[Done], path: Path) -> None:
     if study.picture is not None:
         figure, axes = plt.subplots(1, 1, figsize=(8.4, 6.9), squeeze=False)
         study.picture(done, axes[0, 0])
+        figure.tight_layout()
     else:
-        figure, axes = plt.subplots(1, len(panels), figsize=(6.2 * len(panels), 4.4), squeeze=False)
-    for axis, panel in zip(axes[0], panels, strict=False):
-        _panel(axis, panel)
-    figure.tight_layout()
+        figure = _panels(plt, panels)
     beside = path.with_name(f"{path.stem}.part.png")
     try:
         # Without a date or a version the same figures make the same bytes.
@@ -52,6 +59,26 @@ def draw(study: Study, done: Sequence[Done], path: Path) -> None:
         raise FileError(f"{path}: cannot be written: {error.strerror or error}") from None
     finally:
         plt.close(figure)
+
+
+def _panels(plt: Any, panels: Sequence[Panel]) -> Any:
+    across = min(len(panels), PANELS_A_ROW)
+    rows = -(-len(panels) // across)
+    alike = len(panels) > 1 and len({tuple(curve.name for curve in panel.curves) for panel in panels}) == 1
+    size = (WIDTH_IN * across, (ROW_IN if alike else ROW_NAMED_IN) * rows)
+    figure, axes = plt.subplots(rows, across, figsize=size, squeeze=False, layout="constrained")
+    named: dict[str, Any] = {}
+    for axis, panel in zip(axes.flat, panels, strict=False):
+        _panel(axis, panel)
+        handles, labels = axis.get_legend_handles_labels()
+        named.update(zip(labels, handles, strict=True))
+        if handles and not alike:
+            axis.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=3)
+    for axis in list(axes.flat)[len(panels) :]:
+        axis.set_visible(False)
+    if named and alike:
+        figure.legend(list(named.values()), list(named), loc="outside lower center", ncols=len(named))
+    return figure
 
 
 def _panel(axis: Any, panel: Panel) -> None:
@@ -66,5 +93,3 @@ def _panel(axis: Any, panel: Panel) -> None:
         axis.set_xscale("log")
     axis.set(title=panel.title, xlabel=panel.x_label, ylabel=panel.y_label)
     axis.grid(alpha=0.3)
-    if any(curve.x for curve in panel.curves) or panel.quoted:
-        axis.legend(fontsize=7)
