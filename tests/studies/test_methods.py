@@ -25,7 +25,7 @@ def of_frequency(outcome_at: dict[int, int], hidden: tuple[int, int] = (0, 0)) -
         outcome[np.argmin(np.abs(t1_us - window * WINDOW_US))] = verdict
     visible = (t1_us <= hidden[0]) | (t0_us >= hidden[1])
     sent = SimpleNamespace(t0_us=t0_us, t1_us=t1_us, visible=visible)
-    return cast(Run, SimpleNamespace(sent=sent, found={"ours": SimpleNamespace(outcome=outcome)}))
+    return cast("Run", SimpleNamespace(sent=sent, found={"ours": SimpleNamespace(outcome=outcome)}))
 
 
 def sums(rows: list[list[int]]) -> Any:

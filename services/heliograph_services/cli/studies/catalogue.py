@@ -21,19 +21,18 @@ STUDIES: Final[dict[str, str]] = {
     "crowd_size": "1 to 200 beacons at once",
     "distribution": "the tracker behind a slow link, with real processes",
 }
-# About how many CPU seconds a full and a quick run take on a core of two shared ones (x86, 2026). From measured
-# cells of all kinds: scene, wavelength; of some kinds, the rest by camera seconds, bit rate and readers: bit_rate,
-# moving, false_alarms; by camera seconds alone: distance, methods, recordings, crowd_size, distribution.
+# About how many CPU seconds a full and a quick run take on a core of two shared ones (x86, 2026): from whole runs;
+# false_alarms, crowd_size, distribution from some of their cells.
 COST_S: Final[dict[str, tuple[int, int]]] = {
     "scene": (20, 10),
-    "bit_rate": (1600, 20),
-    "distance": (2000, 20),
-    "moving": (1900, 10),
-    "methods": (600, 10),
-    "wavelength": (150, 1),
-    "recordings": (600, 10),
-    "false_alarms": (2400, 20),
-    "crowd_size": (1000, 20),
+    "bit_rate": (2000, 20),
+    "distance": (1800, 20),
+    "moving": (1300, 10),
+    "methods": (450, 10),
+    "wavelength": (40, 1),
+    "recordings": (20, 10),
+    "false_alarms": (3000, 20),
+    "crowd_size": (1200, 20),
     "distribution": (1200, 60),
 }
 _PACKAGE: Final = "heliograph_services.cli.studies"

@@ -51,9 +51,9 @@ from heliograph_services.decoder.routing import HEART_OF
 
 # Camera-hours a protocol: of a long run they bound a rate at one an hour. Then, of both: minutes a protocol and bit
 # rate; camera seconds and chunks of the other parts.
-HOURS = {"full": 0.3, "long": 3.0}
+HOURS = {"full": 0.15, "long": 3.0}
 MINUTES = 1.0
-CLUTTER_CHUNKS = 2
+CLUTTER_CHUNKS = 1
 STRANGERS_CHUNKS = 1
 CROWD_S = 30.0
 RATES: tuple[float, ...] = (50, 100, 250, 500, 1000, 2000, 2500, 3125, 5000, 10_000, 20_000)
