@@ -210,3 +210,51 @@ def test_a_clock_is_found_where_the_scans_mirror_it(percent: float) -> None:
     ends = t_us[-1] - (np.arange(len(payloads))[::-1] * SEED11_BITS * bit_us)
     right = sum(payloads[int(np.argmin(np.abs(ends - frame.t_us)))] == frame.payload for frame in frames)
     assert right >= 70
+
+
+@pytest.mark.parametrize(("bit_rate", "image_us", "within_bits"), [(50.0, 10_000.0, 70), (80.0, 5000.0, 90)])
+def test_behind_images_new_payloads_are_published_after_so_many_bits_not_after_hundreds(
+    bit_rate: float, image_us: float, within_bits: int
+) -> None:
+    t_us, on, payloads, bit_us = scanned(bit_rate, image_us, 30, 3, tail=0.05)
+    receiver = CyclicReceiver(CODE, bit_rate)
+    published: list[tuple[int, LinkFrame]] = []
+    for until_us in range(10_000, int(t_us[-1]), 10_000):
+        here = slice(*np.searchsorted(t_us, [until_us - 10_000, until_us]))
+        published += [(until_us, f) for f in receiver.feed(t_us[here], on[here], until_us) if isinstance(f, LinkFrame)]
+    assert published[0][0] - t_us[0] <= (within_bits + 16) * bit_us
+    ends = t_us[-1] - (np.arange(len(payloads))[::-1] * SEED11_BITS * bit_us)
+    right = [f for _, f in published if payloads[int(np.argmin(np.abs(ends - f.t_us)))] == f.payload]
+    assert len(right) >= 26
+    assert len(published) - len(right) <= 1
+
+
+@pytest.mark.parametrize("percent", [-3.0, 3.0])
+def test_behind_images_a_clock_that_is_off_is_read_once_enough_was_seen(percent: float) -> None:
+    t_us, on, payloads, bit_us = scanned(50.0, 10_000.0, 60, 2, percent * 1e4, tail=0.05)
+    frames, receiver = read(t_us, on, 50.0, 20_000)
+    assert receiver.quality(int(t_us[-1])).clock_ppm == pytest.approx(percent * 1e4, abs=1000.0)
+    ends = t_us[-1] - (np.arange(len(payloads))[::-1] * SEED11_BITS * bit_us)
+    got = {int(np.argmin(np.abs(ends - frame.t_us))): frame.payload for frame in frames}
+    assert sum(payloads[i] == payload for i, payload in got.items() if i >= 30) >= 25
+
+
+@given(
+    step_us=st.integers(2_000, 400_000),
+    seed=st.integers(0, 20),
+    percent=st.sampled_from([0.0, 0.4, -1.0]),
+    bit_rate=st.sampled_from([50.0, 40.0]),
+)
+@settings(max_examples=15, deadline=None)
+def test_an_early_lock_does_not_depend_on_how_the_input_is_cut(
+    step_us: int, seed: int, percent: float, bit_rate: float
+) -> None:
+    t_us, on, _, _ = scanned(bit_rate, 10_000.0, 40, seed, percent * 1e4, tail=0.05)
+    assert read(t_us, on, bit_rate, step_us)[0] == read(t_us, on, bit_rate, 10_000)[0]
+
+
+def test_the_length_of_a_scan_is_told_though_each_begins_a_little_late() -> None:
+    rng = np.random.default_rng(1)
+    taken = rng.random(128) < 0.5
+    at = (np.arange(128)[taken] + rng.uniform(0.0, 0.08, int(taken.sum()))) * 0.5
+    assert scans.quantum(at) == pytest.approx(0.5, abs=1e-3)

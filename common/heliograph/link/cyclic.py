@@ -3,11 +3,14 @@
 It waits for a clock (`heliograph.link.clock`, at every 16 bits of an absolute grid; a likely one is tried, of a young
 track at every 8 bits and over all that it has shown: `heliograph.link.trial`), then takes the events of that window
 again and goes on with `heliograph.link.demodulator`, so a cold start costs no frame. When the clock is lost it waits
-again. No stage knows anything but the events, the nominal bit rate and the words of the code.
+again. Behind images a lock may begin early (`heliograph.link.cyclic_scans`): what is held is kept then until enough was
+seen. Where that shows another clock the lock begins anew; where it was lost in the light, the waiting goes on. No stage
+knows anything but the events, the nominal bit rate and the words of the code.
 """
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from typing import Final
 
@@ -20,6 +23,7 @@ from heliograph.link.acceptance import Acceptance, Place, evidence_of, frames_ne
 from heliograph.link.beginning import Beginner, Window
 from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Text, Verdict
 from heliograph.link.cyclic_blocks import ClockBlocks, Peaks
+from heliograph.link.cyclic_quality import quality_of
 from heliograph.link.frames import CyclicCode, Periodic
 from heliograph.units import US_PER_S, bit_us
 
@@ -62,17 +66,13 @@ class CyclicReceiver:
         self._state = state.new_state(code)
         self._origin_us: int | None = None  # of the lock; None while there is no clock
         self._locks = 0
+        self._early_lock = False  # begun before enough was seen: what is held may still begin anew
+        self._held_us = 0  # until when events are held then
         self._frame_end_us: int | None = None
         self._until_us: int | None = None
-        self._since_us: int | None = None  # the first event; later, where the last lock was lost
-        self._block = 0  # number of the next block on the absolute grid
-        self._part = 0  # parts of it that have been looked at
-        self._dark = 0  # blocks before it without events
         self._blocks = ClockBlocks(self._bit_us, code.bits)
         self._scans = self._blocks.scans
         self._beginner = Beginner(code, self._needed - 1, self._state, self._blocks)
-        self._held_t: Times = np.empty(0, np.int64)
-        self._held_on: Flags = np.empty(0, np.bool_)
         self._recent: deque[tuple[int, bool]] = deque(maxlen=8192)  # (end, accepted) of the last second's frames
 
     def feed(self, t_us: Times, on: Flags, until_us: int) -> list[LinkFrame | Text]:
@@ -91,9 +91,14 @@ class CyclicReceiver:
                 t_us, on = self._wait(t_us, on, until_us)
                 if self._origin_us is None:
                     return out
-            t_us, on = self._follow(t_us, on, until_us, out)
+            if self._early_lock:
+                t_us, on = self._follow_early(t_us, on, until_us, out)
+                if self._early_lock:
+                    return out
             if self._origin_us is not None:
-                return out
+                t_us, on = self._follow(t_us, on, until_us, out)
+                if self._origin_us is not None:
+                    return out
 
     def due_us(self) -> int:
         """Return when the slot at the end of the next frame closes, half a bit behind it; never without an alignment.
@@ -114,15 +119,17 @@ class CyclicReceiver:
         """Decide the frame that ends within the last bit; the stream has ended."""
         if self._until_us is None:
             return []
-        if self._origin_us is None and len(self._held_t):
-            # What is left of the last block counts as a whole one.
-            self._attempt(clock.BLOCK_BITS * self._bit_us)
+        t_us, on = self._blocks.held_t[:0], self._blocks.held_on[:0]
+        # What is left of the last block counts as a whole one.
+        if self._origin_us is None and len(self._blocks.held_t) and self._attempt(clock.BLOCK_BITS * self._bit_us):
+            t_us, on = self._locked()
         if self._origin_us is None:
             return []
         out: list[LinkFrame | Text] = []
         slots = self._scans.ended((self._until_us - self._origin_us) / self._bit_us)
-        self._follow(self._held_t, self._held_on, self._until_us + int(slots * self._bit_us) + 1, out)
-        self._held_t, self._held_on = self._held_t[:0], self._held_on[:0]
+        self._early_lock = False
+        self._blocks.drop(len(self._blocks.held_t))
+        self._follow(t_us, on, self._until_us + int(slots * self._bit_us) + 1, out)
         return out
 
     def identity(self) -> Identity | None:
@@ -139,81 +146,88 @@ class CyclicReceiver:
             self._recent.popleft()
         newest = [ok for end_us, ok in self._recent if now_us - US_PER_S < end_us <= now_us]
         mar = sum(newest) / len(newest) if newest else None
-        if self._origin_us is None or self._state.ints[state.ALIGNED] < 0:
-            return LinkQuality(US_PER_S / self._bit_us, None, None, None, None, mar)
-        period = float(self._state.floats[state.PERIOD])
-        jitter_us = float(np.sqrt(self._state.floats[state.JITTER2])) * self._bit_us
-        burst, background = float(self._state.figures[0]), float(self._state.figures[1])
-        if self._scans.scanned is not None:
-            burst, background = self._scans.figures(self._scans.scanned)
-        # Energy of a transition over the background in a slot, half an event of which is never excluded.
-        snr_db = 10.0 * float(np.log10(max(burst, 1e-3) / max(background, 0.5)))
-        return LinkQuality(
-            US_PER_S / (self._bit_us * period), snr_db, jitter_us, (1.0 / period - 1.0) * 1e6, burst, mar
-        )
+        scanned = None if self._scans.scanned is None else self._scans.figures(self._scans.scanned)
+        return quality_of(None if self._origin_us is None else self._state, scanned, self._bit_us, mar)
 
     def _wait(self, t_us: Times, on: Flags, until_us: int) -> tuple[Times, Flags]:
         """Look for the clock; return the events from the lock's origin on, or none."""
         if len(t_us):
-            if self._since_us is None:
-                self._since_us = int(t_us[0])
+            if self._blocks.since_us is None:
+                self._blocks.since_us = int(t_us[0])
             self._acceptance.heard(int(t_us[-1]))
-            self._held_t = np.concatenate([self._held_t, t_us])
-            self._held_on = np.concatenate([self._held_on, on])
+            self._blocks.hold(t_us, on)
         block_us = clock.BLOCK_BITS * self._bit_us
-        while len(self._held_t):
+        while len(self._blocks.held_t):
             # A long dark time is skipped, block by block no further than a window reaches back.
-            if self._block - int(self._held_t[-1] // block_us) > clock.LONG_BLOCKS:
-                self._drop(len(self._held_t))
+            if self._blocks.block - int(self._blocks.held_t[-1] // block_us) > clock.LONG_BLOCKS:
+                self._blocks.drop(len(self._blocks.held_t))
                 break
-            first = int(self._held_t[0] // block_us)
-            if first >= self._block + clock.LONG_BLOCKS or first < self._block - clock.LONG_BLOCKS:
-                self._block = first
-                self._clear()
-                self._dark = clock.SHORT_BLOCKS
-            if (self._block + (self._part + 1) / PARTS) * block_us > until_us:
+            first = int(self._blocks.held_t[0] // block_us)
+            if first >= self._blocks.block + clock.LONG_BLOCKS or first < self._blocks.block - clock.LONG_BLOCKS:
+                self._blocks.block = first
+                self._blocks.clear()
+                self._blocks.dark = clock.SHORT_BLOCKS
+            if (self._blocks.block + (self._blocks.part + 1) / PARTS) * block_us > until_us:
                 break
-            self._part += 1
-            if self._early(block_us) if self._part < PARTS else self._attempt(block_us):
-                held = self._held_t, self._held_on
-                self._drop(len(self._held_t))
-                return held
+            self._blocks.part += 1
+            if self._early(block_us) if self._blocks.part < PARTS else self._attempt(block_us):
+                return self._locked()
         return t_us[:0], on[:0]
 
-    def _clear(self) -> None:
-        """Forget the blocks that were summed."""
-        self._dark = 0
-        self._part = 0
-        self._blocks.clear()
+    def _locked(self) -> tuple[Times, Flags]:
+        """Return the events held from the lock's origin on; of an early lock, those that were looked at are kept."""
+        start = int(np.searchsorted(self._blocks.held_t, self._origin_us or 0))
+        held = self._blocks.held_t[start:], self._blocks.held_on[start:]
+        self._held_us = int(np.ceil(self._blocks.block * clock.BLOCK_BITS * self._bit_us))
+        kept = int(np.searchsorted(self._blocks.held_t, self._held_us)) if self._early_lock else 0
+        self._blocks.held_t, self._blocks.held_on = self._blocks.held_t[:kept], self._blocks.held_on[:kept]
+        return held
 
-    def _drop(self, events: int) -> None:
-        self._held_t, self._held_on = self._held_t[events:], self._held_on[events:]
+    def _follow_early(self, t_us: Times, on: Flags, until_us: int, out: list[LinkFrame | Text]) -> tuple[Times, Flags]:
+        """Follow an early lock, block by block, until enough was seen or it is lost; return the events left then."""
+        block_us = clock.BLOCK_BITS * self._bit_us
+        while True:
+            end_us = min(int(np.ceil((self._blocks.block + 1) * block_us)), until_us + 1)
+            start, stop = (int(i) for i in np.searchsorted(t_us, (self._held_us, end_us)))
+            self._blocks.hold(t_us[start:stop], on[start:stop])
+            self._held_us = min(end_us, until_us)
+            left = self._follow(t_us[:stop], on[:stop], self._held_us, out)
+            t_us, on = t_us[stop:], on[stop:]
+            if self._origin_us is not None:
+                if end_us > until_us:
+                    return t_us, on
+                self._blocks.next()
+                left = self._decide(block_us)
+            if not self._early_lock:
+                return np.concatenate([left[0], t_us]), np.concatenate([left[1], on])
+
+    def _decide(self, block_us: float) -> tuple[Times, Flags]:
+        """Confirm an early lock where enough was seen, or begin anew; return what is to follow from a new origin."""
+        end_us = self._blocks.block * block_us
+        seen = (end_us - (self._blocks.since_us or 0)) / block_us
+        if self._scans.enough(seen):
+            self._early_lock = False
+            blocks = min(clock.LONG_BLOCKS, math.ceil(seen))
+            peaks = self._blocks.peaks(blocks, min(blocks, seen), clock.THRESHOLD_LONG)
+            turns = peaks[2]
+            anew = turns[0, 1] >= clock.THRESHOLD_LONG and not self._scans.in_step(blocks, turns)
+            if anew and self._lock(peaks, clock.THRESHOLD_LONG, end_us - blocks * block_us, end_us, blocks):
+                self._early_lock = False
+                return self._locked()
+        self._blocks.drop(max(len(self._blocks.held_t) - (WINDOW_EVENTS if self._early_lock else 0), 0))
+        return self._blocks.held_t[:0], self._blocks.held_on[:0]
 
     def _attempt(self, block_us: float) -> bool:
         """Take in the next whole block and look for the clock in the windows that end with it."""
-        begin_us, end_us = self._block * block_us, (self._block + 1) * block_us
-        start, stop = (int(i) for i in np.searchsorted(self._held_t, (begin_us, end_us)))
-        self._block += 1
-        self._part = 0
-        t: clock.Floats = np.asarray((self._held_t[start:stop] - begin_us) / self._bit_us, np.float64)
-        self._blocks.take(t, self._held_on[start:stop])
-        if stop == start:
-            self._dark += 1
-        else:
-            if self._dark >= clock.SHORT_BLOCKS:
-                # What comes out of the dark is young.
-                self._since_us = int(self._held_t[start])
-            self._dark = 0
-        since_us = self._since_us or 0
-        if self._block % (1 if end_us - since_us <= clock.LONG_BLOCKS * block_us else clock.SHORT_BLOCKS) == 0:
-            self._blocks.look(self._held_t[:stop], self._held_on[:stop], self._block)
+        start, stop, end_us = self._blocks.next()
+        since_us = self._blocks.since_us or 0
         if stop > start and self._try(None, end_us, end_us, block_us):
             return True
         if stop > start and end_us - since_us >= WINDOW_LEAST_BITS * self._bit_us:
             windows = [(clock.SHORT_BLOCKS, clock.THRESHOLD_SHORT)]
             # A quarter more of a long window rarely tells more than the last one did, and most tracks are clutter that
             # no window finds a clock in: so the long one is looked at once for a short one's length.
-            if self._block % clock.SHORT_BLOCKS == 0:
+            if self._blocks.block % clock.SHORT_BLOCKS == 0:
                 windows.append((clock.LONG_BLOCKS, clock.THRESHOLD_LONG))
             elif end_us - since_us < clock.LONG_BLOCKS * block_us:
                 # A young track may be a beacon whose word has few edges: 64 bits of it stay just below the threshold.
@@ -225,35 +239,35 @@ class CyclicReceiver:
                 ):
                     return True
             # Once for a short window's length, so that a light that needs a long one is not given up before.
-            if end_us - since_us >= clock.SHORT_BLOCKS * block_us and self._block % clock.SHORT_BLOCKS == 0:
+            if end_us - since_us >= clock.SHORT_BLOCKS * block_us and self._blocks.block % clock.SHORT_BLOCKS == 0:
                 self.refusals[Refusal.NO_CLOCK] += 1
                 self._acceptance.refuse()
         keep_us = end_us - (clock.LONG_BLOCKS - 1) * block_us
-        self._drop(max(int(np.searchsorted(self._held_t, keep_us)), stop - WINDOW_EVENTS))
+        self._blocks.drop(max(int(np.searchsorted(self._blocks.held_t, keep_us)), stop - WINDOW_EVENTS))
         return False
 
     def _early(self, block_us: float) -> bool:
         """Try the clock of a young track with a part of the next block."""
-        begin_us = self._block * block_us
-        end_us = begin_us + self._part / PARTS * block_us
+        begin_us = self._blocks.block * block_us
+        end_us = begin_us + self._blocks.part / PARTS * block_us
         if not self._young(end_us, block_us):
             return False
-        start, stop = (int(i) for i in np.searchsorted(self._held_t, (begin_us, end_us)))
+        start, stop = (int(i) for i in np.searchsorted(self._blocks.held_t, (begin_us, end_us)))
         if stop == 0:
             return False
-        t: clock.Floats = np.asarray((self._held_t[start:stop] - begin_us) / self._bit_us, np.float64)
-        return self._try((t, self._held_on[start:stop]), end_us, begin_us + block_us, block_us)
+        t: clock.Floats = np.asarray((self._blocks.held_t[start:stop] - begin_us) / self._bit_us, np.float64)
+        return self._try((t, self._blocks.held_on[start:stop]), end_us, begin_us + block_us, block_us)
 
     def _young(self, end_us: float, block_us: float) -> bool:
         """Return whether a track has shown as many frames as an identity takes, and not yet a long window."""
-        since_us = self._since_us or 0
+        since_us = self._blocks.since_us or 0
         return self._needed * self._code.bits * self._bit_us <= end_us - since_us < clock.LONG_BLOCKS * block_us
 
     def _try(
         self, more: tuple[clock.Floats, Flags] | None, end_us: float, blocks_end_us: float, block_us: float
     ) -> bool:
         """Lock to a likely clock, in a short window or in all since a young track began, if its code repeats."""
-        since_us = self._since_us or 0
+        since_us = self._blocks.since_us or 0
         if end_us - since_us < self._needed * self._code.bits * self._bit_us:
             return False
         all_blocks = int(np.ceil((blocks_end_us - since_us) / block_us))
@@ -281,20 +295,22 @@ class CyclicReceiver:
     ) -> bool:
         """Begin with a clock found in a window, if what was found is one; the events before it are dropped."""
         origin_us = int(np.floor(begin_us))
-        start, stop = (int(i) for i in np.searchsorted(self._held_t, (begin_us, end_us)))
+        start, stop = (int(i) for i in np.searchsorted(self._blocks.held_t, (begin_us, end_us)))
         window = Window(
-            t=(self._held_t[start:stop] - origin_us) / self._bit_us,
-            on=self._held_on[start:stop],
+            t=(self._blocks.held_t[start:stop] - origin_us) / self._bit_us,
+            on=self._blocks.held_on[start:stop],
             until=(end_us - origin_us) / self._bit_us,
             blocks=blocks,
             begin_us=begin_us - origin_us,
             last_end=-1e9 if self._frame_end_us is None else (self._frame_end_us - origin_us) / self._bit_us,
-            seen=(end_us - max(begin_us, float(self._since_us or 0))) / (clock.BLOCK_BITS * self._bit_us),
-            read_out=one_phase.read_out(self._held_t[start:] / self._bit_us),
+            seen=(end_us - max(begin_us, float(self._blocks.since_us or 0))) / (clock.BLOCK_BITS * self._bit_us),
+            read_out=one_phase.read_out(self._blocks.held_t[start:stop] / self._bit_us),
         )
         if not self._beginner.begin(window, peaks, threshold, tried=tried):
             return False
-        self._drop(start)
+        self._early_lock = self._scans.scanned is not None and not tried and not self._scans.enough(window.seen)
+        if not self._early_lock:
+            self._blocks.drop(start)
         self._origin_us = origin_us
         self._locks += 1
         return True
@@ -319,13 +335,23 @@ class CyclicReceiver:
             if outcome == demodulator.LOST:
                 # From here on the search begins anew, with what the lost lock has not taken.
                 lost = self._state.floats[state.BOUNDARY] - 0.5 * self._state.floats[state.PERIOD]
-                self._since_us = origin_us + int(np.ceil(lost * self._bit_us))
+                self._blocks.since_us = origin_us + int(np.ceil(lost * self._bit_us))
                 self._origin_us = None
                 self._scans.scanned = None
-                self._block = int(self._since_us // (clock.BLOCK_BITS * self._bit_us))
-                self._clear()
+                if self._early_lock and self._doubted():
+                    return t_us[:0], on[:0]
+                self._blocks.block = int(self._blocks.since_us // (clock.BLOCK_BITS * self._bit_us))
+                self._blocks.clear()
                 break
         return t_us[done:], on[done:]
+
+    def _doubted(self) -> bool:
+        """Return whether an early lock was lost though there is light: then what is held and will be decides."""
+        self._early_lock = False
+        self._scans.doubted = int(self._state.ints[state.SILENT]) <= demodulator.SILENT_FRAMES * self._code.bits
+        if not self._scans.doubted:
+            self._blocks.drop(len(self._blocks.held_t))
+        return self._scans.doubted
 
     def _settle(self, origin_us: int, out: list[LinkFrame | Text]) -> None:
         """Turn the demodulator's records into frames and refusals."""

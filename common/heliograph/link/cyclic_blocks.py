@@ -1,7 +1,8 @@
 """What the default receiver of cyclic codes keeps of the light while it waits for a clock, block by block.
 
-Three signs of the clock are summed over blocks of 16 bits (`heliograph.link.clock`): the events, the edges of the level
-of a lit LED that moves (`heliograph.link.level`), and the turns of scanned light (`heliograph.link.cyclic_scans`).
+Events are held as far back as a window reaches. Three signs of the clock are summed over blocks of 16 bits
+(`heliograph.link.clock`): the events, the edges of the level of a lit LED that moves (`heliograph.link.level`), and the
+turns of scanned light (`heliograph.link.cyclic_scans`).
 """
 
 from __future__ import annotations
@@ -27,6 +28,12 @@ class ClockBlocks:
 
     def __init__(self, bit_us: float, frame_bits: int) -> None:
         self.scans = ScanSearch(bit_us, frame_bits)
+        self.held_t: Times = np.empty(0, np.int64)
+        self.held_on: Flags = np.empty(0, np.bool_)
+        self.since_us: int | None = None  # the first event; later, where the last lock was lost
+        self.block = 0  # number of the next block on the absolute grid
+        self.part = 0  # parts of it that have been looked at
+        self.dark = 0  # blocks before it without events
         self._bit_us = bit_us
         self._events = np.zeros((clock.LONG_BLOCKS, clock.SUMS))
         self._level = np.zeros_like(self._events)
@@ -34,12 +41,44 @@ class ClockBlocks:
         self._level_on = np.zeros((clock.LONG_BLOCKS, 4 * clock.BLOCK_BITS), np.bool_)
         self._level_n = [0] * clock.LONG_BLOCKS
 
+    def hold(self, t_us: Times, on: Flags) -> None:
+        """Keep events."""
+        self.held_t = np.concatenate([self.held_t, t_us])
+        self.held_on = np.concatenate([self.held_on, on])
+
+    def drop(self, events: int) -> None:
+        """Forget the oldest of the events."""
+        self.held_t, self.held_on = self.held_t[events:], self.held_on[events:]
+
     def clear(self) -> None:
-        """Forget the blocks."""
+        """Forget the blocks that were summed."""
+        self.dark = 0
+        self.part = 0
         self._events[:] = 0.0
         self._level[:] = 0.0
         self._level_n = [0] * clock.LONG_BLOCKS
         self.scans.clear()
+
+    def next(self) -> tuple[int, int, float]:
+        """Sum the next whole block; return its first event held, the one behind its last, and its end."""
+        block_us = clock.BLOCK_BITS * self._bit_us
+        begin_us, end_us = self.block * block_us, (self.block + 1) * block_us
+        start, stop = (int(i) for i in np.searchsorted(self.held_t, (begin_us, end_us)))
+        self.block += 1
+        self.part = 0
+        t: clock.Floats = np.asarray((self.held_t[start:stop] - begin_us) / self._bit_us, np.float64)
+        self.take(t, self.held_on[start:stop])
+        if stop == start:
+            self.dark += 1
+        else:
+            if self.dark >= clock.SHORT_BLOCKS:
+                # What comes out of the dark is young.
+                self.since_us = int(self.held_t[start])
+            self.dark = 0
+        young = end_us - (self.since_us or 0) <= clock.LONG_BLOCKS * block_us
+        if young or self.block % clock.SHORT_BLOCKS == 0:
+            self.look(self.held_t[:stop], self.held_on[:stop], self.block)
+        return start, stop, end_us
 
     def take(self, t: clock.Floats, on: Flags) -> None:
         """Sum the next block, its events (times in bits from its beginning) and the edges of their level."""
@@ -67,7 +106,8 @@ class ClockBlocks:
 
     def peaks(self, blocks: int, seen: float, threshold: float) -> Peaks:
         """Return what a window of the newest blocks shows, of which so many show the light."""
-        turns = self.scans.peaks(blocks, threshold) if self.scans.enough(seen) else _NONE
+        scans, enough = self.scans, self.scans.enough(seen)
+        turns = scans.peaks(blocks, threshold) if enough else scans.early(blocks, seen, threshold)
         events = peaks(self._events[-blocks:], threshold)
         return events, np.array([clock.peak(self._level[-blocks:])]), turns
 

@@ -29,9 +29,20 @@ NOMINAL: Final = 0.25
 # and a quarter wrong, for good).
 WINDOW_BLOCKS_A_BIT: Final = 36.0
 
-# No rates: the events are no scans.
 # Images are as long as half a bit to the camera's clock; a sensor's scans are so by accident only.
 IN_STEP: Final = 1e-3
+# Within so long a scan pixels settle (in about a millisecond): no edge is in two of them, little is to be learned of a
+# response, and the wait for all of its places takes seconds at such bit rates. So a lock begins early, and what has
+# been waited for confirms it or begins anew (`heliograph.link.cyclic`). Behind 199 us, of 456 frames at 2512 bit/s 93
+# were read after 2.5 blocks, 383 after 16.
+IMAGE_LEAST_US: Final = 4000.0
+# Blocks of the light that tell its clock then; two images a bit, in step, show the same two places for good.
+BLURRED_BLOCKS: Final = 4.0
+IN_STEP_BLOCKS: Final = 2.5
+# Of the turns of a light in step, so many are in one phase. A clock .5 % off moves from one image of a bit to the other
+# within 100 bits; where that is not at the very end of a window, less is left.
+COHERENT: Final = 0.8
+# No rates: the events are no scans.
 _NONE: Final[clock.Floats] = np.array([[1.0, 0.0]])
 
 # Half the delay ON - OFF, in bits, is known but for half bits; a rise that much behind a fall is a fall that is late:
@@ -53,6 +64,7 @@ class ScanSearch:
         self.scanned: ScanState | None = None  # of the present lock, or of one on trial
         self._kept: ScanState | None = None
         self.fit: clock.Floats = np.empty(0)  # of the scans of the window begun with (`heliograph.link.scan_lock`)
+        self.doubted = False  # a lock that was begun early was not the light's
         self._quantum = 0.0  # length of a scan in bits; 0 while the events are not known to be scans
         self._turn = np.zeros(scans.FIELDS)
         self._sums = np.zeros((clock.LONG_BLOCKS, clock.SUMS))
@@ -61,6 +73,7 @@ class ScanSearch:
         """Forget the blocks that were summed."""
         self._sums[:] = 0.0
         self._turn[:] = 0.0
+        self.doubted = False
 
     @property
     def known(self) -> bool:
@@ -100,11 +113,28 @@ class ScanSearch:
         found = peaks(newest, threshold)
         if abs(1.0 / self._quantum - 2.0) >= MIRRORED or found[0, 1] < threshold:
             return found
+        if self._quantum * self._bit_us >= IMAGE_LEAST_US and self.in_step(blocks, found):
+            return found[:1]
         # Most clocks are the nominal, far nearer than a window resolves (begun with .17 % off, some drifted away).
         rates = np.append(1.0, found[np.abs(found[:, 0] - 1.0) > NOMINAL / (blocks * clock.BLOCK_BITS), 0])
         if np.abs(found[:, 0] - 0.5 / self._quantum).min() < 1.0 / (blocks * clock.BLOCK_BITS):
             rates = np.concatenate([rates, clock.lobes(newest, AS_GOOD)])
         return np.column_stack([rates, np.full(len(rates), found[0, 1])])
+
+    def early(self, blocks: int, seen: float, threshold: float) -> clock.Floats:
+        """Return, as `peaks` does, what may be begun with before `enough` has been seen; z = 0 where nothing may."""
+        if not self.known or self.doubted or self._quantum * self._bit_us < IMAGE_LEAST_US:
+            return _NONE
+        if seen < (BLURRED_BLOCKS if self.drift else IN_STEP_BLOCKS):
+            return _NONE
+        found = self.peaks(blocks, threshold)
+        return found if self.drift or self.in_step(blocks, found) else _NONE
+
+    def in_step(self, blocks: int, found: clock.Floats) -> bool:
+        """Return whether all turns of the newest blocks are in one phase of two images a bit, at the nominal rate."""
+        near = abs(found[0, 0] - 1.0) <= NOMINAL / (blocks * clock.BLOCK_BITS)
+        coherent = found[0, 1] >= COHERENT * self._sums[-blocks:, clock.POWER :].sum()
+        return self.known and not self.drift and near and bool(coherent)
 
     def begin(self, t: clock.Floats, on: Flags, until: float, f: float, found: clock.Floats) -> bool:
         """Begin with a clock that the turns of a window show.

@@ -158,7 +158,11 @@ def spacing(at: Floats, least: float, most: float) -> float:
     if not least <= q <= most or len(near) < IN_A_ROW * len(gaps):
         return 0.0
     short = gaps[gaps < FAR * q] / q
-    return q if float(np.mean(np.abs(short - np.round(short)) < NEAR)) >= ON_GRID else 0.0
+    whole = np.round(short)
+    if float(np.mean(np.abs(short - whole) < NEAR)) < ON_GRID:
+        return 0.0
+    # Of gaps that follow each other, what one has too much the next has too little: all together tell it far better.
+    return q * float(short.sum() / whole.sum())
 
 
 def all_scans(at: Floats, counts: Floats, q: float, until: float) -> npt.NDArray[np.float64]:
