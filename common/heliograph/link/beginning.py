@@ -102,7 +102,7 @@ class Beginner:
         """
         events, levels, turns = peaks
         # A few bits behind scans give a clock that is .3 % off: it slides for a second, and reads what slides.
-        if tried and self._scans.drift and not self._scans.enough(window.seen):
+        if tried and not self._scans.may_try(window.blocks, window.seen, turns):
             return False
         if turns[0, 1] >= threshold and self._scanned(window, turns[:, 0].tolist(), tried=tried):
             return True

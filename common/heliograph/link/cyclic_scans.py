@@ -85,6 +85,10 @@ class ScanSearch:
         """Whether the events are scans, and not two a nominal bit, as images are taken."""
         return self.known and abs(self._quantum - 0.5) > IN_STEP
 
+    @property
+    def _images(self) -> bool:
+        return self._quantum * self._bit_us >= IMAGE_LEAST_US
+
     def look(self, t_us: Times) -> bool:
         """Learn from events held whether they are scans; return it."""
         self._quantum = scans.quantum(scans.starts(t_us / self._bit_us))
@@ -113,7 +117,7 @@ class ScanSearch:
         found = peaks(newest, threshold)
         if abs(1.0 / self._quantum - 2.0) >= MIRRORED or found[0, 1] < threshold:
             return found
-        if self._quantum * self._bit_us >= IMAGE_LEAST_US and self.in_step(blocks, found):
+        if self._images and self.in_step(blocks, found):
             return found[:1]
         # Most clocks are the nominal, far nearer than a window resolves (begun with .17 % off, some drifted away).
         rates = np.append(1.0, found[np.abs(found[:, 0] - 1.0) > NOMINAL / (blocks * clock.BLOCK_BITS), 0])
@@ -123,12 +127,21 @@ class ScanSearch:
 
     def early(self, blocks: int, seen: float, threshold: float) -> clock.Floats:
         """Return, as `peaks` does, what may be begun with before `enough` has been seen; z = 0 where nothing may."""
-        if not self.known or self.doubted or self._quantum * self._bit_us < IMAGE_LEAST_US:
+        if not self._images or self.doubted:
             return _NONE
         if seen < (BLURRED_BLOCKS if self.drift else IN_STEP_BLOCKS):
             return _NONE
         found = self.peaks(blocks, threshold)
         return found if self.drift or self.in_step(blocks, found) else _NONE
+
+    def may_try(self, blocks: int, seen: float, found: clock.Floats) -> bool:
+        """Return whether a rate may be begun with if the code repeats under it: the turns of images must all show it.
+
+        At .8 % beside the rate a word that repeats was read as another, four times, and named.
+        """
+        if not self.known or self.enough(seen):
+            return True
+        return not self.drift and (not self._images or self.in_step(blocks, found))
 
     def in_step(self, blocks: int, found: clock.Floats) -> bool:
         """Return whether all turns of the newest blocks are in one phase of two images a bit, at the nominal rate."""
