@@ -69,9 +69,31 @@ def frames_section() -> str:
     )
 
 
+def repeated_section() -> str:
+    """What a second run of the studies changed."""
+    path = RESULTS / "repeated.json"
+    if not path.is_file():
+        return ""
+    stored = json.loads(path.read_text())
+    rows = []
+    for name, one in stored["studies"].items():
+        first, second = (f"{look['commit']}, {look['machine']['cpu']}" for look in stored["looks"][name])
+        if "cells" in one:
+            told = (f"{one['equal']} of {one['cells']} cells", "; ".join(one["differ"]) or "-")
+        else:
+            told = (f"{one['within']} of {one['figures']} figures within", "; ".join(one["outside"]) or "-")
+        rows.append((name, first, second, *told))
+    said = (
+        "## A second run\n\nAll studies were run twice, from the same seeds. Counts are equal or not; of the study"
+        " with real processes each second figure lies in the first's interval, or is listed."
+        " `bench/repeat_results.py`.\n\n"
+    )
+    return said + table(("study", "first", "second", "equal", "different"), rows) + "\n"
+
+
 def sections() -> list[Callable[[], str]]:
     """Return what writes the sections of benches, in their order."""
-    return [*link_sections.sections(), frames_section]
+    return [*link_sections.sections(), frames_section, repeated_section]
 
 
 def main() -> int:
