@@ -72,6 +72,20 @@ def test_what_takes_the_whole_window_or_is_no_disc_or_tiny_is_no_switched_light(
     assert in_ticks(two_by_two, [2]).switched.tolist() == [False]
 
 
+@pytest.mark.parametrize("radius_px", [1.2, 1.3, 1.45, 1.6])
+def test_small_discs_less_round_by_their_place_on_the_pixels_are_switched_lights_if_of_one_tick(
+    radius_px: float,
+) -> None:
+    for x_px, y_px in [(30.2, 30.4), (30.5, 30.0), (30.25, 30.25), (30.0, 30.0), (30.4, 30.5)]:
+        mask = disc(radius_px, x_px, y_px)
+        if mask.sum() >= shape.ONE_TICK_PIXELS:
+            assert in_ticks(mask, [2]).switched.tolist() == [True]
+    five = np.zeros((64, 64), np.bool_)
+    five[10:12, 10:12] = five[12, 10] = True
+    assert in_ticks(five, [2]).switched.tolist() == [True]
+    assert in_ticks(five, [2, 3]).switched.tolist() == [False]
+
+
 def test_in_images_and_slow_scans_only_a_disc_of_nine_pixels_is_a_switched_light() -> None:
     crown = disc(2.6) & ~disc(1.5)
     assert in_ticks(disc(1.5), [2], is_fine=False).switched.tolist() == [True]
