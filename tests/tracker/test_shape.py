@@ -86,6 +86,17 @@ def test_small_discs_less_round_by_their_place_on_the_pixels_are_switched_lights
     assert in_ticks(five, [2, 3]).switched.tolist() == [False]
 
 
+def test_two_or_three_pixels_that_all_went_both_ways_are_a_light_and_one_or_quiet_ones_are_too_few() -> None:
+    for shape_px in ((1, 2), (2, 1), (1, 3)):
+        mask = np.zeros((64, 64), np.bool_)
+        mask[10 : 10 + shape_px[0], 10 : 10 + shape_px[1]] = True
+        assert target_of(mask, on=1, off=1).verdict.tolist() == [shape.ROUND]
+        assert target_of(mask, on=2, off=0).verdict.tolist() == [shape.TOO_FEW]
+    one = np.zeros((64, 64), np.bool_)
+    one[10, 10] = True
+    assert target_of(one, on=2, off=2).verdict.tolist() == [shape.TOO_FEW]
+
+
 def test_in_images_and_slow_scans_only_a_disc_of_nine_pixels_is_a_switched_light() -> None:
     crown = disc(2.6) & ~disc(1.5)
     assert in_ticks(disc(1.5), [2], is_fine=False).switched.tolist() == [True]

@@ -62,7 +62,7 @@ class TrackerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     ] = 5
     # Three pixels in a row pass the roundness of .5 (they score .57), four do not (.45).
     min_pixels: Annotated[
-        _Pixels, Meta(description="smallest target that may become a track, distinct onset pixels")
+        _Pixels, Meta(description="smallest target that may become a track, distinct onset pixels; half if all blink")
     ] = 4
     # A disc of 50 px across: a 12 cm LED 1 m before a lens of f = 400 px.
     max_pixels: Annotated[_Pixels, Meta(description="largest target that may be or update a track")] = 2_000

@@ -74,6 +74,11 @@ ONE_TICK_PIXELS: Final = 5
 # Where time tells nothing, as with images, the disc alone must do: of 1,900 pieces of edges of 9 pixels and more none
 # is as round (15 of 4,700 of 6 to 8 pixels are).
 DISC_PIXELS: Final = 9
+# Half as many pixels as a target needs are enough where every one of them went both ways within the window: a light of
+# two or three pixels. In 4 s before a hand-held camera and over a site in shadow there were three such, at two places,
+# neither of them again; over the site in the sun 1157, its far beacons. One pixel may be a defect.
+TINY_SHARE: Final = 0.5
+TINY_PIXELS: Final = 2
 # A small light that shines and moves brightens what lies before it and darkens what lies behind: of the events of a
 # window the rarer polarity has 25 to 50 % (LEDs of 2 px radius at 200 px/s); edges of a texture have none.
 DIPOLE_SHARE: Final = 0.15
@@ -311,7 +316,10 @@ def measure(
         moving = (fill >= SWEPT_FILL) & (width_var >= SWEPT_VAR_PX2) & (events[2] >= BOTH_SHARE * pixels)
         verdict[(verdict == NOT_ROUND) & moving] = SWEPT
     verdict[pixels > rule.max_pixels] = TOO_MANY
-    verdict[pixels < rule.min_pixels] = TOO_FEW
+    few = pixels < rule.min_pixels
+    tiny = few & (pixels >= max(TINY_SHARE * rule.min_pixels, TINY_PIXELS)) & (events[2] == pixels)
+    verdict[few] = TOO_FEW
+    verdict[tiny] = ROUND
     middle = (pool_px - 1) / 2
     return Targets(
         x_px=out[0] * pool_px + middle,
