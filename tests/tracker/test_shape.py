@@ -92,6 +92,7 @@ def test_two_or_three_pixels_that_all_went_both_ways_are_a_light_and_one_or_quie
         mask[10 : 10 + shape_px[0], 10 : 10 + shape_px[1]] = True
         assert target_of(mask, on=1, off=1).verdict.tolist() == [shape.ROUND]
         assert target_of(mask, on=2, off=0).verdict.tolist() == [shape.TOO_FEW]
+        assert target_of(mask, "paper", on=1, off=1).verdict.tolist() == [shape.TOO_FEW]
     one = np.zeros((64, 64), np.bool_)
     one[10, 10] = True
     assert target_of(one, on=2, off=2).verdict.tolist() == [shape.TOO_FEW]

@@ -335,11 +335,11 @@ class CyclicReceiver:
             if outcome == demodulator.LOST:
                 # From here on the search begins anew, with what the lost lock has not taken.
                 lost = self._state.floats[state.BOUNDARY] - 0.5 * self._state.floats[state.PERIOD]
-                self._blocks.since_us = origin_us + int(np.ceil(lost * self._bit_us))
                 self._origin_us = None
                 self._scans.scanned = None
                 if self._early_lock and self._doubted():
                     return t_us[:0], on[:0]
+                self._blocks.since_us = origin_us + int(np.ceil(lost * self._bit_us))
                 self._blocks.block = int(self._blocks.since_us // (clock.BLOCK_BITS * self._bit_us))
                 self._blocks.clear()
                 break

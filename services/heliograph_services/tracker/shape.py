@@ -317,9 +317,11 @@ def measure(
         verdict[(verdict == NOT_ROUND) & moving] = SWEPT
     verdict[pixels > rule.max_pixels] = TOO_MANY
     few = pixels < rule.min_pixels
-    tiny = few & (pixels >= max(TINY_SHARE * rule.min_pixels, TINY_PIXELS)) & (events[2] == pixels)
+    if rule.shape == "distinct":  # the paper's way of tracking has its N_min as it is
+        tiny = few & (pixels >= max(TINY_SHARE * rule.min_pixels, TINY_PIXELS)) & (events[2] == pixels)
+        verdict[tiny] = ROUND
+        few &= ~tiny
     verdict[few] = TOO_FEW
-    verdict[tiny] = ROUND
     middle = (pool_px - 1) / 2
     return Targets(
         x_px=out[0] * pool_px + middle,
