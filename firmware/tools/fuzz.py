@@ -1,9 +1,10 @@
-"""Fuzz the beacon's core: `python firmware/tools/fuzz.py [--seconds 60] [--build FOLDER]` (clang; Debian: clang).
+"""Fuzz the beacon's core: `python firmware/tools/fuzz.py [--seconds 60] [--build FOLDER]`.
 
-Two fuzzers share the time: `fuzz_beacon`, the whole core on a line and a clock that the fuzzer holds, and
-`fuzz_parsers`, the line, the record and the store alone. Each begins with a program of every protocol, lit, with
-messages, saved and rebooted, so that it starts behind the checks of length and range, and not before them. Exit status
-0 if both are clean; an input that is not lies in the folder.
+Two fuzzers (Debian: clang, libclang-rt-dev) share the time: `fuzz_beacon`, the whole core on a line and a clock that
+the fuzzer holds, and `fuzz_parsers`, the line, the record and the store alone. Each begins with a program of every
+protocol, lit, with messages, saved and rebooted, so that it starts behind the checks of length and range, and not
+before them. Exit status 0 if both are clean, 1 if not (the input lies in the folder), 2 if they cannot be made, 3 if
+what it takes is not here.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from make import FIRMWARE, BuildError, build
+from make import FIRMWARE, BuildError, MissingError, build
 
 SET, ARM, DISARM, QUEUE, CLEAR, STATUS, SAVE = 3, 4, 5, 6, 7, 8, 9
 HOUR: Final = struct.pack(">I", 3_600_000)
@@ -100,7 +101,7 @@ def main(arguments: list[str]) -> int:
         beacon, parsers = build("fuzz", chosen.build)
     except BuildError as error:
         print(f"fuzz.py: {error}", file=sys.stderr)
-        return 2
+        return 3 if isinstance(error, MissingError) else 2
     half_s = chosen.seconds // 2
     outcomes = [
         fuzz(beacon, of_beacon(), half_s, chosen.build),

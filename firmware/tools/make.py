@@ -23,6 +23,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -31,6 +32,8 @@ FIRMWARE: Final = Path(__file__).resolve().parents[1]
 PEDANTIC: Final = "-std=c11 -Wall -Wextra -Wconversion -pedantic -Werror"
 CORE: Final = "core/*.c"
 CHIPS: Final = ("esp32", "esp32c3", "esp32s3")
+# Debian's clang only recommends it: a clang without it compiles all, and cannot link a fuzzer.
+LIBFUZZER: Final = "clang's libFuzzer"
 # What building and running a target takes: a program or a file, and Debian's packages.
 _CC: Final = ("cc", "gcc libc6-dev")
 NEEDS: Final[dict[str, tuple[tuple[str, str], ...]]] = {
@@ -45,7 +48,7 @@ NEEDS: Final[dict[str, tuple[tuple[str, str], ...]]] = {
         ("/usr/include/libelf.h", "libelf-dev"),
     ),
     "riscv": (("riscv64-unknown-elf-gcc", "gcc-riscv64-unknown-elf"), ("qemu-system-riscv32", "qemu-system-misc")),
-    "fuzz": (("clang", "clang"),),
+    "fuzz": (("clang", "clang"), (LIBFUZZER, "libclang-rt-dev")),
 }
 
 
@@ -118,15 +121,24 @@ class MissingError(BuildError):
 def missing(target: str) -> str:
     """Return what a target takes and is not here, with Debian's packages; empty where all is."""
     chosen = {default: os.environ.get(name) or default for name, default in (p.compiler for p in TARGETS[target])}
-    absent = [
-        (what, packages)
-        for what, packages in NEEDS[target]
-        if shutil.which(shlex.split(chosen.get(what, what))[0]) is None and not Path(what).is_file()
-    ]
+    absent = [(what, packages) for what, packages in NEEDS[target] if not _is_here(what, chosen)]
     if not absent:
         return ""
     packages = " ".join(dict.fromkeys(packages for _, packages in absent))
     return f"{', '.join(what for what, _ in absent)} not here (Debian: {packages})"
+
+
+def _is_here(what: str, chosen: dict[str, str]) -> bool:
+    """Return whether a program, a file or a library is here; `chosen` has the compilers that variables name."""
+    if what != LIBFUZZER:
+        return shutil.which(shlex.split(chosen.get(what, what))[0]) is not None or Path(what).is_file()
+    clang = shlex.split(chosen["clang"])
+    if shutil.which(clang[0]) is None:
+        return False
+    smallest = b"int LLVMFuzzerTestOneInput(const char *data, unsigned long size) { return data && size > 4000; }"
+    with tempfile.TemporaryDirectory() as folder:
+        command = [*clang, *FUZZ_FLAGS.split(), "-x", "c", "-", "-o", str(Path(folder) / "smallest")]
+        return not subprocess.run(command, input=smallest, capture_output=True, check=False).returncode  # noqa: S603
 
 
 def build(target: str, folder: Path) -> list[Path]:
