@@ -79,7 +79,9 @@ def repeated_section() -> str:
     for name, one in stored["studies"].items():
         first, second = (f"{look['commit']}, {look['machine']['cpu']}" for look in stored["looks"][name])
         if "cells" in one:
-            told = (f"{one['equal']} of {one['cells']} cells", "; ".join(one["differ"]) or "-")
+            alone = one["only_first"] + one["only_second"]
+            equal = f"{one['equal']} of {one['cells']} cells" + (f"; {alone} in one run alone" if alone else "")
+            told = (equal, "; ".join(one["differ"]) or "-")
         else:
             told = (f"{one['within']} of {one['figures']} figures within", "; ".join(one["outside"]) or "-")
         rows.append((name, first, second, *told))

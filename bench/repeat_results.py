@@ -1,11 +1,12 @@
 """Compares two runs of `heliograph evaluate`: which cells counted the same, and which figures left their intervals.
 
-    python bench/repeat_results.py FIRST SECOND         folders of results; writes bench/results/repeated.json
+    python bench/repeat_results.py FIRST SECOND [--out FILE]    folders of results; writes bench/results/repeated.json
 
 Cells of both are compared by study, parameters and seed. Their counts must be the same to the last digit, but for CPU
 times; of a cell that both ran with other readers, what both readers made of it. A study of real processes and of
 times (`timing`) has no equal cells: of each of its rows with an interval, the second value lies within the first's
-interval, or outside. A difference is listed, with its cell or row.
+interval, or outside. A difference is listed, with its cell or row. Exit status 1 where cells differ, 2 where there is
+nothing to compare.
 """
 
 from __future__ import annotations
@@ -91,29 +92,38 @@ def within(first: Path, second: Path) -> dict[str, Any]:
     return {"figures": inside + len(outside), "within": inside, "outside": outside[:LISTED]}
 
 
-def main() -> int:
-    """Compare; return 1 where cells differ."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("first", type=Path)
-    parser.add_argument("second", type=Path)
-    arguments = parser.parse_args()
+def compared(first: Path, second: Path) -> dict[str, Any]:
+    """Return, for each study that both folders hold, what is equal, and where and by which code each was run."""
     studies: dict[str, Any] = {}
     looks: dict[str, Any] = {}
-    for path in sorted(arguments.first.glob("*.json")):
-        other = arguments.second / path.name
+    for path in sorted(first.glob("*.json")):
+        other = second / path.name
         if not other.is_file():
             continue
-        heads = [json.loads(one.read_text()) for one in (path, other)]
+        heads = [json.loads(one.read_text(encoding="utf-8")) for one in (path, other)]
         looks[path.stem] = [{"commit": head["commit"], "machine": head["machine"]} for head in heads]
         if heads[0]["timing"]:
             studies[path.stem] = within(path, other)
         else:
             studies[path.stem] = equal_cells(path.with_suffix(".jsonl"), other.with_suffix(".jsonl"))
-    RESULT.write_text(json.dumps({"studies": studies, "looks": looks}, indent=1) + "\n", encoding="utf-8")
-    for name, one in studies.items():
+    return {"studies": studies, "looks": looks}
+
+
+def main() -> int:
+    """Compare; return 1 where cells differ."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("first", type=Path)
+    parser.add_argument("second", type=Path)
+    parser.add_argument("--out", type=Path, default=RESULT)
+    arguments = parser.parse_args()
+    out = compared(arguments.first, arguments.second)
+    if not any(one.get("cells", 0) + one.get("figures", 0) for one in out["studies"].values()):
+        parser.error(f"{arguments.first} and {arguments.second} have no cell of a study in common")
+    arguments.out.write_text(json.dumps(out, indent=1) + "\n", encoding="utf-8")
+    for name, one in out["studies"].items():
         print(f"{name:14}" + "  ".join(f"{key} {value}" for key, value in one.items() if not isinstance(value, list)))
         print("".join(f"    {line}\n" for line in one.get("differ") or one.get("outside") or []), end="")
-    return int(any(one.get("differ") for one in studies.values()))
+    return int(any(one.get("differ") for one in out["studies"].values()))
 
 
 if __name__ == "__main__":
