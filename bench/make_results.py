@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -29,6 +30,10 @@ those of the benches (`bench/results`); definitions: [metrics](metrics.md). Noth
 the paper's values are quoted. *Worse*: others that were measured here read more than ours, beyond chance (95 %, paired
 where the frames are the same). A bound is what nothing found excludes with 95 %: 3 / T.
 """
+
+
+# The column of a study's tables that says where ours is worse.
+WORSE = "where we are worse"
 
 
 def number(value: float) -> str:
@@ -61,7 +66,7 @@ def frames_section() -> str:
                       bound(counts["identities"], counts["frames"])))  # fmt: skip
     head = ("code, light", "frames", "accepted", "rows of equal (uart: good) ones", "identities", "a frame")
     return (
-        "### Random frames\n\n"
+        "## Random frames\n\n"
         "Random bits at the very clock, each bit position taken for the beginning of a frame, through the decisions of"
         " the receivers (`bench/random_frames.py`). `clear`: 20 events a change, `dim`: 3. Rows of equal frames are"
         " counted whatever their evidence; an identity asks for that too. Evidence: simulated, at the level of slots"
@@ -93,6 +98,36 @@ def repeated_section() -> str:
     return said + table(("study", "first", "second", "equal", "different"), rows) + "\n"
 
 
+def contents(parts: list[str]) -> str:
+    """Return a list of the sections, with how many rows of each had somebody else to beat, and how many were lost."""
+    rows = []
+    for part in parts:
+        title = part.partition("\n")[0].lstrip("#").strip()
+        anchor = re.sub(r"[^a-z0-9 _-]", "", title.lower()).replace(" ", "-")
+        compared, worse = compared_rows(part)
+        rows.append((f"[{title}](#{anchor})", compared or "-", worse if compared else "-"))
+    return (
+        table(("section", "rows with others beside ours", "ours worse than one of them, or than the genie"), rows)
+        + "\n"
+    )
+
+
+def compared_rows(part: str) -> tuple[int, int]:
+    """Return how many rows of a section's tables were compared with others, and in how many of them ours is worse."""
+    column = None
+    compared = worse = 0
+    for line in part.splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if not line.startswith("|"):
+            column = None
+        elif column is None:
+            column = cells.index(WORSE) if WORSE in cells else -1
+        elif column >= 0 and cells[column] not in {"-", "---"}:
+            compared += 1
+            worse += cells[column] != "nowhere"
+    return compared, worse
+
+
 def sections() -> list[Callable[[], str]]:
     """Return what writes the sections of benches, in their order."""
     return [*link_sections.sections(), frames_section, repeated_section]
@@ -103,7 +138,8 @@ def main() -> int:
     parser.add_argument("--check", action="store_true")
     arguments = parser.parse_args()
     studies = results_page.sections(ROOT / "results", "../results/")
-    text = "\n".join([HEAD, *studies, *(part for part in (section() for section in sections()) if part)])
+    parts = [*studies, *(part for part in (section() for section in sections()) if part)]
+    text = "\n".join([HEAD, contents(parts), *parts])
     if arguments.check:
         return int(not PAGE.is_file() or PAGE.read_text() != text)
     PAGE.write_text(text)
