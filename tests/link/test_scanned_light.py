@@ -258,3 +258,25 @@ def test_the_length_of_a_scan_is_told_though_each_begins_a_little_late() -> None
     taken = rng.random(128) < 0.5
     at = (np.arange(128)[taken] + rng.uniform(0.0, 0.08, int(taken.sum()))) * 0.5
     assert scans.quantum(at) == pytest.approx(0.5, abs=1e-3)
+
+
+@pytest.mark.parametrize(("tail", "seed"), [(0.05, 5), (0.05, 8), (0.15, 1), (0.15, 4), (0.15, 9), (0.3, 1)])
+def test_clean_light_that_shows_in_every_second_scan_is_read_through_its_slips(tail: float, seed: int) -> None:
+    # 199.2 us are .498 bit: edges keep to every second scan for 125 bits, and then slip by one.
+    t_us, on, payloads, bit_us = scanned(2500.0, 199.2, 160, seed, tail=tail)
+    frames, receiver = read(t_us, on, 2500.0)
+    ends = t_us[-1] - (np.arange(len(payloads))[::-1] * SEED11_BITS * bit_us)
+    right = sum(payloads[int(np.argmin(np.abs(ends - frame.t_us)))] == frame.payload for frame in frames)
+    assert right >= 130
+    assert len(frames) - right <= 3
+    assert receiver.quality(int(t_us[-1])).clock_ppm == pytest.approx(0.0, abs=400.0)
+
+
+def test_rare_scans_are_found_in_a_long_window_only_where_nothing_contradicts_them() -> None:
+    rng = np.random.default_rng(2)
+    at = 0.996 * np.cumsum(rng.integers(1, 4, 120).astype(np.float64))
+    assert scans.quantum(at, rare=True) == 0.0
+    slipped = at + 0.498 * (np.arange(120) >= 40) + 0.498 * (np.arange(120) >= 90)
+    assert scans.quantum(slipped) == 0.0
+    assert scans.quantum(slipped, rare=True) == pytest.approx(0.498)
+    assert scans.quantum(np.sort(np.append(slipped, rng.uniform(0.0, at[-1], 40))), rare=True) == 0.0

@@ -47,3 +47,12 @@ def test_silence_and_noise_keep_the_nominal_rate() -> None:
     assert receiver.feed(t_us[:0], np.empty(0, np.bool_), 9_000_000) == []
     assert receiver.identity() is None
     assert receiver.quality(9_000_000).bit_rate == pytest.approx(NOMINAL)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("scan_us", [198.6, 199.2, 201.0])
+def test_text_is_read_at_its_own_rate_where_two_scans_are_nearly_a_bit(scan_us: float, seed: int) -> None:
+    seen = watch_text(TextLight(scan_us=scan_us, tail_bits=0.01, jitter_bits=0.005), TEXT, 2500.0, seed)
+    receiver = Uart().receiver(2500.0)
+    assert edits(TEXT, joined(hear(receiver, seen))) <= 3
+    assert receiver.quality(int(seen.t_us[-1])).clock_ppm == pytest.approx(0.0, abs=1500.0)

@@ -35,6 +35,7 @@ from heliograph_services.cli.studies.study import Cell, Done, worse_than
 from heliograph_services.cli.studies.windows_rule import read_windows
 from heliograph_services.event_source.simulation.stream import SceneStream
 from heliograph_services.event_source.simulation.world.load import load_scenario
+from heliograph_services.event_source.simulation.world.world import beacons_of
 
 PEER = "heliograph_services.cli.studies.peers:paper"
 
@@ -68,6 +69,15 @@ def test_scenes_of_all_kinds_load(name: str, tmp_path: Path) -> None:
         assert {beacon.protocol for beacon in beacons} == {scene.protocol}
         seen += len(beacons)
     assert seen > 10
+
+
+def test_a_crowd_of_every_size_loads(tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    sizes = {}
+    for cell in load("crowd_size").all_cells("full", "development"):
+        path.write_text(crowd_size.scene(cell.parameters).text)
+        sizes[cell.parameters["count"]] = len(beacons_of(load_scenario(str(path)), cell.seed))
+    assert sizes == {count: count for count in crowd_size.SIZES}
 
 
 def test_the_scene_keeps_who_is_named_and_draws_it_again_from_what_it_keeps() -> None:

@@ -155,7 +155,7 @@ class Beginner:
         for guess in guesses:
             self._start(guess, window)
             trusts.append(trial.trust(window.t, window.on, window.until, self._state))
-        return _likeliest(trusts, [np.zeros(1)] * len(trusts))
+        return _likeliest(trusts, [np.zeros(1)] * len(trusts), [False] * len(trusts))
 
     def _scanned(self, window: Window, rates: list[float], *, tried: bool) -> bool:
         """Begin with a clock that the turns of scanned light show, as `begin` does."""
@@ -164,12 +164,13 @@ class Beginner:
         if len(rates) == 1:
             return self._start_scanned(window, rates[0])
         trusts, fits = [], []
+        on_grid = [self._scans.on_grid(f, window.blocks) for f in rates]
         for f in rates:
             if not self._start_scanned(window, f):
                 return False
             fits.append(self._scans.fit)
             trusts.append(trial.trust(window.t, window.on, window.until, self._state, self._scans.scanned))
-        return self._start_scanned(window, rates[_likeliest(trusts, fits)])
+        return self._start_scanned(window, rates[_likeliest(trusts, fits, on_grid)])
 
     def _scanned_repeats(self, window: Window, rates: list[float]) -> bool:
         # What repeats does so wherever its slots begin.
@@ -192,10 +193,18 @@ class Beginner:
         return True
 
 
-def _likeliest(trusts: list[float], fits: list[Floats]) -> int:
-    """Return the place of the guess that begins, given the trust in each and how likely each scan of the window is."""
+def _likeliest(trusts: list[float], fits: list[Floats], on_grid: list[bool]) -> int:
+    """Return the place of the guess that begins.
+
+    Args:
+        trusts: in each, the nominal rate first.
+        fits: how likely each scan of the window is under each.
+        on_grid: whether it is the rate of the scans' own grid.
+    """
     trusts = [max(trust, ALIGN) for trust in trusts]
     trusted = [i for i, trust in enumerate(trusts) if trust >= max(trusts) - LEAD]
+    if 0 in trusted:
+        trusted = [i for i in trusted if i == 0 or not on_grid[i]]
     best = max(trusted, key=lambda i: (fits[i].sum(), -i))
     better = fits[best] - fits[0]
     if 0 in trusted and better.sum() <= SIGMAS * math.sqrt(len(better)) * float(better.std()):

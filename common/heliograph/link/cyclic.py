@@ -205,8 +205,9 @@ class CyclicReceiver:
         """Confirm an early lock where enough was seen, or begin anew; return what is to follow from a new origin."""
         end_us = self._blocks.block * block_us
         seen = (end_us - (self._blocks.since_us or 0)) / block_us
-        if self._scans.enough(seen):
+        if self._scans.settled(seen):
             self._early_lock = False
+            self._blocks.look(self._blocks.held_t, self._blocks.held_on, self._blocks.block, rare=True)
             blocks = min(clock.LONG_BLOCKS, math.ceil(seen))
             peaks = self._blocks.peaks(blocks, min(blocks, seen), clock.THRESHOLD_LONG)
             turns = peaks[2]
@@ -308,7 +309,10 @@ class CyclicReceiver:
         )
         if not self._beginner.begin(window, peaks, threshold, tried=tried):
             return False
-        self._early_lock = self._scans.scanned is not None and not tried and not self._scans.enough(window.seen)
+        if self._scans.scanned is None:
+            self._early_lock = window.seen < clock.LONG_BLOCKS and self._scans.hides(window.t)
+        else:
+            self._early_lock = not tried and not self._scans.enough(window.seen)
         if not self._early_lock:
             self._blocks.drop(start)
         self._origin_us = origin_us

@@ -90,13 +90,21 @@ class ClockBlocks:
         clock.block(self._level_t[-1, :n], self._level_on[-1, :n], self._level[-1])
         self.scans.take(t, on)
 
-    def look(self, held_t: Times, held_on: Flags, end_block: int) -> None:
-        """See whether the events held are scans; if they are, sum the turns of the blocks before end_block."""
+    def look(self, held_t: Times, held_on: Flags, end_block: int, *, rare: bool = False) -> None:
+        """See whether the events held are scans; if they are, sum the turns of the blocks before end_block.
+
+        Args:
+            held_t: of events.
+            held_on: their polarities.
+            end_block: behind the newest of them.
+            rare: look at a long window, in which two scans in a row may be rare (`heliograph.link.scans`).
+        """
         if self.scans.known:
             return
         block_us = clock.BLOCK_BITS * self._bit_us
-        newest = int(np.searchsorted(held_t, (end_block - clock.SHORT_BLOCKS) * block_us))
-        if not self.scans.look(held_t[newest:]):
+        blocks = clock.LONG_BLOCKS if rare else clock.SHORT_BLOCKS
+        newest = int(np.searchsorted(held_t, (end_block - blocks) * block_us))
+        if not self.scans.look(held_t[newest:], rare=rare):
             return
         for block in range(end_block - clock.LONG_BLOCKS, end_block):
             begin_us = block * block_us

@@ -90,10 +90,17 @@ class ScanSearch:
     def _images(self) -> bool:
         return self._quantum * self._bit_us >= IMAGE_LEAST_US
 
-    def look(self, t_us: Times) -> bool:
-        """Learn from events held whether they are scans; return it."""
-        self._quantum = scans.quantum(scans.starts(t_us / self._bit_us))
+    def look(self, t_us: Times, *, rare: bool = False) -> bool:
+        """Learn from events held whether they are scans; return it. Rare: as of `heliograph.link.scans.spacing`."""
+        self._quantum = scans.quantum(scans.starts(t_us / self._bit_us), rare=rare)
         return self.known
+
+    def hides(self, t: clock.Floats) -> bool:
+        """Return whether events, (n,) times in bits, that are not known to be scans may yet turn out to be.
+
+        Where two scans are nearly a bit, all edges of a hundred bits may lie in every second scan.
+        """
+        return not self.known and scans.spacing(scans.starts(t), scans.LEAST, 2.0 * scans.MOST, rare=True) > 0.0
 
     def take(self, t: clock.Floats, on: Flags) -> None:
         """Sum the next block (times in bits from its beginning)."""
@@ -109,6 +116,10 @@ class ScanSearch:
     def enough(self, seen: float) -> bool:
         """Return whether so many blocks of the light may show its response; True where the events are no scans."""
         return seen >= min(WINDOW_BLOCKS_A_BIT * self._quantum, clock.LONG_BLOCKS)
+
+    def settled(self, seen: float) -> bool:
+        """Return whether after so many blocks of the light it is plain whether the events are scans, and `enough`."""
+        return self.enough(seen) if self.known else seen >= clock.LONG_BLOCKS
 
     def peaks(self, blocks: int, threshold: float) -> clock.Floats:
         """Return (n, 2) the rates that the newest blocks' turns may show, and z; z = 0 where there are no scans."""
@@ -143,6 +154,10 @@ class ScanSearch:
         if not self.known or self.enough(seen):
             return True
         return not self.drift and (not self._images or self.in_step(blocks, found))
+
+    def on_grid(self, rate: float, blocks: int) -> bool:
+        """Return whether a rate is that of two scans, as far as a window of these blocks resolves."""
+        return self.known and abs(rate - 0.5 / self._quantum) < 0.5 / (blocks * clock.BLOCK_BITS)
 
     def in_step(self, blocks: int, found: clock.Floats) -> bool:
         """Return whether all turns of the newest blocks are in one phase of two images a bit, at the nominal rate."""

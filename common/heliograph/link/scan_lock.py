@@ -232,7 +232,7 @@ def begin(
     at, counts = np.empty(len(t)), np.empty((len(t), 2))
     n = scans.group(t, on, at, counts)
     at, counts = at[:n], counts[:n]
-    q = scans.quantum(at)
+    q = scans.quantum(at) or scans.quantum(at, rare=True)
     if q == 0.0 or len(turns[0]) == 0:
         return None
     rows = scans.all_scans(at, counts, q, until)

@@ -38,6 +38,9 @@ IN_A_ROW: Final = 0.125
 ON_GRID: Final = 0.9
 NEAR: Final = 0.15
 FAR: Final = 6.0
+# Where all edges of clean light are in every second scan but for slips: two slips, and what a stray event or two spoil.
+SLIPS: Final = 2
+ON_GRID_RARE: Final = 0.97
 # 48 bits of such images have two dozen edges: known later, they would be taken for events that are no scans.
 GAPS_LEAST: Final = 16
 
@@ -142,20 +145,35 @@ def starts(t: Floats) -> Floats:
     return at[:n]
 
 
-def quantum(at: Floats) -> float:
-    """Return the length of a scan, in bits, given the times (n,) of those with events; 0 where they are no scans."""
-    return spacing(at, LEAST, MOST)
+def quantum(at: Floats, *, rare: bool = False) -> float:
+    """Return the length of a scan, in bits, given the times (n,) of those with events; 0 where they are no scans.
+
+    Args:
+        at: not falling.
+        rare: see `spacing`.
+    """
+    return spacing(at, LEAST, MOST, rare=rare)
 
 
-def spacing(at: Floats, least: float, most: float) -> float:
-    """Return the length, in bits, of which times (n,) lie whole numbers apart; 0 where none of least to most is."""
+def spacing(at: Floats, least: float, most: float, *, rare: bool = False) -> float:
+    """Return the length, in bits, of which times (n,) lie whole numbers apart; 0 where none of least to most is.
+
+    Args:
+        at: not falling.
+        least: shortest.
+        most: longest.
+        rare: two in a row may be rare: one such gap is enough, or SLIPS of an odd number of them, if hardly any gap is
+            not a multiple.
+    """
     gaps = np.diff(at)
     if len(gaps) < GAPS_LEAST:
         return 0.0
-    small = np.sort(gaps)[int(FEW * len(gaps))]
+    small = gaps.min() if rare else np.sort(gaps)[int(FEW * len(gaps))]
     near = gaps[np.abs(gaps - small) < NEAR * small]
     q = float(near.mean())
-    if not least <= q <= most or len(near) < IN_A_ROW * len(gaps):
+    if rare and least <= 0.5 * q and _slips(gaps / q):
+        q *= 0.5
+    if not least <= q <= most or (len(near) < IN_A_ROW * len(gaps) and not rare):
         return 0.0
     short = gaps[gaps < FAR * q] / q
     whole = np.round(short)
@@ -163,6 +181,13 @@ def spacing(at: Floats, least: float, most: float) -> float:
         return 0.0
     # Of gaps that follow each other, what one has too much the next has too little: all together tell it far better.
     return q * float(short.sum() / whole.sum())
+
+
+def _slips(gaps: Floats) -> bool:
+    """Return whether gaps, (n,) in two scans, are whole numbers but for some that are halves."""
+    odd = np.abs(gaps - np.floor(gaps) - 0.5) < 0.5 * NEAR
+    whole = np.abs(gaps - np.round(gaps)) < 0.5 * NEAR
+    return int(np.count_nonzero(odd)) >= SLIPS and float(np.mean(odd | whole)) >= ON_GRID_RARE
 
 
 def all_scans(at: Floats, counts: Floats, q: float, until: float) -> npt.NDArray[np.float64]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -45,6 +44,8 @@ LOCK_TURNS: Final = 2 * LOCK_GOOD
 # A character holds five changes of level on average.
 CHANGES: Final = 5.0
 CLOCK_MAX: Final = 0.025  # offsets beyond 2.5 % are another bit rate
+# Half a bit, a scan of two a bit, and what a character's place errs by.
+SLIP_BINS: Final = SUB_BINS // 2 + 2
 
 # A character is good, that is a witness of text, if hardly any other word of 11 bits, and no other character, explains
 # its events as well (nats). Where F is right, 4 nats are odds of 55 to 1.
@@ -110,11 +111,21 @@ def _learned(
 
 
 def _bit_bins(found: list[tuple[int, int]]) -> float:
-    """Return the bit length that the distances of neighbours tell, in sub-bins."""
-    steps = [b[0] - a[0] for a, b in pairwise(found) if b[0] - a[0] < CHARACTER_BINS + 4]
-    if len(steps) < LOCK_GOOD - 1:
+    """Return the bit length that the distances of neighbours tell, in sub-bins.
+
+    Where two scans are nearly a bit, characters keep the distances of the scans, and slip by one once in a beat of the
+    two: so the nominal length is believed where it explains the slips too, and better.
+    """
+    steps = np.diff([at for at, _ in found])
+    own = steps[steps < CHARACTER_BINS + 4] - CHARACTER_BINS
+    if len(own) < LOCK_GOOD - 1:
         return float(SUB_BINS)
-    mean = sum(steps) / len(steps) / CHARACTER_BITS
+    # Characters between two that were found may have been lost in a slip.
+    slipped = steps - np.round(steps / CHARACTER_BINS) * CHARACTER_BINS
+    off = abs(float(slipped[np.abs(slipped) <= SLIP_BINS].sum()))
+    if off <= SLIP_BINS and off < abs(float(own.sum())):
+        return float(SUB_BINS)
+    mean = SUB_BINS + float(own.mean()) / CHARACTER_BITS
     return min(max(mean, SUB_BINS * (1 - CLOCK_MAX)), SUB_BINS * (1 + CLOCK_MAX))
 
 

@@ -51,7 +51,7 @@ from heliograph_services.decoder.routing import HEART_OF
 
 # Camera-hours a protocol: of a long run they bound a rate at one an hour. Then, of both: minutes a protocol and bit
 # rate; camera seconds and chunks of the other parts.
-HOURS = {"full": 0.15, "long": 3.0}
+HOURS = {"full": 0.1, "long": 3.0}
 MINUTES = 1.0
 CLUTTER_CHUNKS = 1
 STRANGERS_CHUNKS = 1
