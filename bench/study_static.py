@@ -1,6 +1,8 @@
 """MAR of a still beacon at 50 cm over its bit rate, read by the paper's receiver behind a scan of 199 us.
 
-    python bench/study_static.py [-o bench/results/static_mar.json] [--plot docs/plots/static_mar.png]
+    python bench/study_static.py [-o bench/results/static_mar.json] [--plot docs/plots/static_mar.png] [--receiver NAME]
+
+With --receiver only the rows of that receiver are run; the others are kept as -o has them.
 
 The paper's "Static OCC performance": DVXplorer Mini, 3.6 mm, indoors (2 W/m2), payload 42. Beside the quoted curve
 (over .94 up to 2.5 kHz) stands the prediction from scanning alone (`static_prediction.py`, stored before this study was
@@ -91,9 +93,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", type=Path)
     parser.add_argument("--plot", type=Path)
+    parser.add_argument("--receiver", choices=("default", "paper"))
     arguments = parser.parse_args()
     rows = rows_of(json.loads(PREDICTED.read_text()))
+    if arguments.receiver is not None:
+        if arguments.o is None:
+            parser.error("--receiver keeps other rows: it needs -o")
+        kept = json.loads(arguments.o.read_text())["rows"]
+        rows = [row if row["receiver"] == arguments.receiver else old for row, old in zip(rows, kept, strict=True)]
     for row in rows:
+        if "mar" in row:
+            continue
         delays = row["asymmetry_us"], row["stretch_us"]
         row["mar"] = [measured(rate, *delays, receiver=row["receiver"], ideal=row["ideal"]) for rate in RATES]
         print({name: value for name, value in row.items() if name not in {"mar", "predicted"}}, flush=True)

@@ -280,3 +280,12 @@ def test_rare_scans_are_found_in_a_long_window_only_where_nothing_contradicts_th
     assert scans.quantum(slipped) == 0.0
     assert scans.quantum(slipped, rare=True) == pytest.approx(0.498)
     assert scans.quantum(np.sort(np.append(slipped, rng.uniform(0.0, at[-1], 40))), rare=True) == 0.0
+
+
+@pytest.mark.parametrize("payload", [5, 13, 42])
+def test_a_word_that_repeats_is_read_though_a_line_of_it_lies_beside_the_bit_rate(payload: int) -> None:
+    # 1.434 scans a bit: of a word of 11 bits, a line lies at 1.434 - 5 / 11 = .98 of the bit rate.
+    t_us, on, _, _ = scanned(3500.0, 199.2, 300, 3, payload=payload)
+    frames, _ = read(t_us, on, 3500.0)
+    assert sum(frame.payload == payload for frame in frames) >= 200
+    assert sum(frame.payload != payload for frame in frames) <= 3
