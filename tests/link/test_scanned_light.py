@@ -289,3 +289,30 @@ def test_a_word_that_repeats_is_read_though_a_line_of_it_lies_beside_the_bit_rat
     frames, _ = read(t_us, on, 3500.0)
     assert sum(frame.payload == payload for frame in frames) >= 200
     assert sum(frame.payload != payload for frame in frames) <= 3
+
+
+def bursts(seed: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_], float, int]:
+    """Return events of a lamp in scans, with long pauses, a bit rate that it does not have, and a step for feeding."""
+    rng = np.random.default_rng(seed)
+    scan_us = float(rng.choice([65.0, 199.0, 199.2, 500.0, 5000.0, 10000.0, 20000.0]))
+    bit_rate = float(rng.choice([0.3, 0.4, 0.5, 0.55, 0.7])) / scan_us * 1e6
+    k = int(rng.integers(20, 600))
+    kind = rng.integers(3)
+    if kind == 0:
+        gaps = rng.geometric(rng.uniform(0.1, 0.7), k)
+    elif kind == 1:
+        gaps = rng.choice([1, 2, 3, 4, 5, 6], k)
+    else:
+        gaps = 2 * rng.geometric(0.5, k) + (rng.random(k) < 0.03)
+    pauses = rng.random(k) < rng.choice([0.0, 0.02, 0.1])
+    at = np.cumsum(gaps + pauses * rng.integers(50, 2000, k)) * scan_us
+    events = rng.integers(1, 30, k)
+    on = rng.random(k) < 0.5 if rng.random() < 0.5 else np.arange(k) % 2 == 0
+    return np.repeat(at, events).astype(np.int64), np.repeat(on, events), bit_rate, 50_000
+
+
+@pytest.mark.parametrize("seed", [*range(8), 161])
+def test_a_lock_that_is_lost_again_and_again_is_not_looked_for_at_one_place_for_ever(seed: int) -> None:
+    t_us, on, bit_rate, step_us = bursts(seed)
+    frames, _ = read(t_us, on, bit_rate, step_us)
+    assert len(frames) <= (t_us[-1] - t_us[0]) * bit_rate / 1e6 / SEED11_BITS + 1.0

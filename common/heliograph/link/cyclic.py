@@ -353,8 +353,10 @@ class CyclicReceiver:
         """Return whether an early lock was lost though there is light: then what is held and will be decides."""
         self._early_lock = False
         self._scans.doubted = int(self._state.ints[state.SILENT]) <= demodulator.SILENT_FRAMES * self._code.bits
-        if not self._scans.doubted:
-            self._blocks.drop(len(self._blocks.held_t))
+        # What no window reaches back to is not looked at again, else the search would begin there anew, for ever.
+        oldest_us = (self._blocks.block - clock.LONG_BLOCKS + 1) * clock.BLOCK_BITS * self._bit_us
+        stale = int(np.searchsorted(self._blocks.held_t, oldest_us))
+        self._blocks.drop(stale if self._scans.doubted else len(self._blocks.held_t))
         return self._scans.doubted
 
     def _settle(self, origin_us: int, out: list[LinkFrame | Text]) -> None:
