@@ -22,17 +22,17 @@ STUDIES: Final[dict[str, str]] = {
     "distribution": "the tracker behind a slow link, with real processes",
 }
 # About how many CPU seconds a full and a quick run take on a core of two shared ones (x86, 2026): from whole runs;
-# false_alarms, crowd_size, distribution from some of their cells.
+# false_alarms and distribution from some of their cells.
 COST_S: Final[dict[str, tuple[int, int]]] = {
     "scene": (20, 10),
-    "bit_rate": (2000, 20),
-    "distance": (1800, 20),
-    "moving": (1300, 10),
-    "methods": (450, 10),
-    "wavelength": (40, 1),
-    "recordings": (20, 10),
-    "false_alarms": (3000, 20),
-    "crowd_size": (1200, 20),
+    "bit_rate": (2300, 20),
+    "distance": (2350, 20),
+    "moving": (1770, 10),
+    "methods": (530, 10),
+    "wavelength": (75, 1),
+    "recordings": (35, 10),
+    "false_alarms": (2500, 20),
+    "crowd_size": (925, 20),
     "distribution": (1200, 60),
 }
 _PACKAGE: Final = "heliograph_services.cli.studies"
