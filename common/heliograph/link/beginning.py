@@ -11,7 +11,7 @@ the differences' own scatter (Vuong 1989)::
 
     sum_s d_s > SIGMAS sqrt(sum_s (d_s - mean d)^2)        d_s = log L_s of the likeliest - log L_s of the first
 
-A single guess costs no such trial.
+A single guess costs no such trial. A trial reads the whole window, also where an earlier lock has published its frames.
 
 A likely clock, below the threshold, is believed only if the code repeats under it (`heliograph.link.trial`).
 """
@@ -33,6 +33,8 @@ from heliograph.link.frames import CyclicCode
 
 # One in 700 by chance; most clocks are within a hundredth of a per cent of the nominal.
 SIGMAS: Final = 3.0
+# End of the last published frame where there was none.
+NEVER: Final = -1e9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +47,7 @@ class Window:
         until: end of the window.
         blocks: of the window, the newest.
         begin_us: of the first of them, in microseconds from the origin, in [0, 1).
-        last_end: end of the last published frame.
+        last_end: end of the last published frame, NEVER where there is none.
         seen: blocks of it that show the light.
         read_out: length of the sensor's scans, 0 where its events come in none.
     """
@@ -110,13 +112,13 @@ class Beginner:
         if not guesses:
             return False
         if not tried:
-            self._start(guesses[self._surest(window, guesses)], window)
+            self._start(guesses[self._surest(window, guesses)], window, window.last_end)
             return True
         for guess in guesses:
             if self._alike(window, guess.found):
-                self._start(guess, window)
+                self._start(guess, window, NEVER)
                 if trial.repeats(window.t, window.on, window.until, self._state, self._equal):
-                    self._start(guess, window)
+                    self._start(guess, window, window.last_end)
                     return True
         return False
 
@@ -139,10 +141,10 @@ class Beginner:
         response.start(self._folded, float(self._found[3]), window.read_out, rate, seen)
         return Guess(self._found.copy(), rate)
 
-    def _start(self, guess: Guess, window: Window) -> None:
+    def _start(self, guess: Guess, window: Window, last_end: float) -> None:
         self._state.model[:] = guess.rate
         self._state.seen[:] = 0
-        state.start(self._state, None, guess.found, window.last_end, window.read_out, self._code)
+        state.start(self._state, None, guess.found, last_end, window.read_out, self._code)
 
     def _alike(self, window: Window, found: Floats) -> bool:
         return trial.alike(window.t, window.on, window.until, found, self._code.bits, self._equal)
@@ -153,7 +155,7 @@ class Beginner:
             return 0
         trusts = []
         for guess in guesses:
-            self._start(guess, window)
+            self._start(guess, window, NEVER)
             trusts.append(trial.trust(window.t, window.on, window.until, self._state))
         return _likeliest(trusts, [np.zeros(1)] * len(trusts), [False] * len(trusts))
 
@@ -162,15 +164,15 @@ class Beginner:
         if tried:
             return self._scanned_repeats(window, rates[: clock.PEAKS])
         if len(rates) == 1:
-            return self._start_scanned(window, rates[0])
+            return self._start_scanned(window, rates[0], window.last_end)
         trusts, fits = [], []
         on_grid = [self._scans.on_grid(f, window.blocks) for f in rates]
         for f in rates:
-            if not self._start_scanned(window, f):
+            if not self._start_scanned(window, f, NEVER):
                 return False
             fits.append(self._scans.fit)
             trusts.append(trial.trust(window.t, window.on, window.until, self._state, self._scans.scanned))
-        return self._start_scanned(window, rates[_likeliest(trusts, fits, on_grid)])
+        return self._start_scanned(window, rates[_likeliest(trusts, fits, on_grid)], window.last_end)
 
     def _scanned_repeats(self, window: Window, rates: list[float]) -> bool:
         # What repeats does so wherever its slots begin.
@@ -178,17 +180,17 @@ class Beginner:
         if not self._alike(window, self._found):
             return False
         for f in rates:
-            if not self._start_scanned(window, f):
+            if not self._start_scanned(window, f, NEVER):
                 return False
             if trial.repeats(window.t, window.on, window.until, self._state, self._equal, self._scans.scanned):
-                return self._start_scanned(window, f)
+                return self._start_scanned(window, f, window.last_end)
         self._scans.scanned = None
         return False
 
-    def _start_scanned(self, window: Window, f: float) -> bool:
+    def _start_scanned(self, window: Window, f: float, last_end: float) -> bool:
         if not self._scans.begin(window.t, window.on, window.until, f, self._found):
             return False
-        state.start(self._state, None, self._found, window.last_end, window.read_out, self._code)
+        state.start(self._state, None, self._found, last_end, window.read_out, self._code)
         self._state.ints[state.SLOT] = -scan_state.LAG
         return True
 

@@ -20,7 +20,7 @@ from heliograph.errors import Refusal, Refusals
 from heliograph.events import Flags, Times
 from heliograph.link import clock, demodulator, one_phase, scan_demodulator, scans, state, trial
 from heliograph.link.acceptance import Acceptance, Place, evidence_of, frames_needed
-from heliograph.link.beginning import Beginner, Window
+from heliograph.link.beginning import NEVER, Beginner, Window
 from heliograph.link.contract import Identity, LinkFrame, LinkQuality, Text, Verdict
 from heliograph.link.cyclic_blocks import ClockBlocks, Peaks
 from heliograph.link.cyclic_quality import quality_of
@@ -303,7 +303,7 @@ class CyclicReceiver:
             until=(end_us - origin_us) / self._bit_us,
             blocks=blocks,
             begin_us=begin_us - origin_us,
-            last_end=-1e9 if self._frame_end_us is None else (self._frame_end_us - origin_us) / self._bit_us,
+            last_end=NEVER if self._frame_end_us is None else (self._frame_end_us - origin_us) / self._bit_us,
             seen=(end_us - max(begin_us, float(self._blocks.since_us or 0))) / (clock.BLOCK_BITS * self._bit_us),
             read_out=one_phase.read_out(self._blocks.held_t[start:stop] / self._bit_us),
         )
