@@ -260,16 +260,34 @@ def test_the_length_of_a_scan_is_told_though_each_begins_a_little_late() -> None
     assert scans.quantum(at) == pytest.approx(0.5, abs=1e-3)
 
 
+def right_of(frames: list[LinkFrame], t_us: npt.NDArray[np.int64], payloads: list[int], bit_us: float) -> int:
+    """Return how many frames hold the payload that was sent where they end."""
+    ends = t_us[-1] - (np.arange(len(payloads))[::-1] * SEED11_BITS * bit_us)
+    return sum(payloads[int(np.argmin(np.abs(ends - frame.t_us)))] == frame.payload for frame in frames)
+
+
 @pytest.mark.parametrize(("tail", "seed"), [(0.05, 5), (0.05, 8), (0.15, 1), (0.15, 4), (0.15, 9), (0.3, 1)])
 def test_clean_light_that_shows_in_every_second_scan_is_read_through_its_slips(tail: float, seed: int) -> None:
     # 199.2 us are .498 bit: edges keep to every second scan for 125 bits, and then slip by one.
     t_us, on, payloads, bit_us = scanned(2500.0, 199.2, 160, seed, tail=tail)
     frames, receiver = read(t_us, on, 2500.0)
-    ends = t_us[-1] - (np.arange(len(payloads))[::-1] * SEED11_BITS * bit_us)
-    right = sum(payloads[int(np.argmin(np.abs(ends - frame.t_us)))] == frame.payload for frame in frames)
+    right = right_of(frames, t_us, payloads, bit_us)
     assert right >= 130
     assert len(frames) - right <= 3
     assert receiver.quality(int(t_us[-1])).clock_ppm == pytest.approx(0.0, abs=400.0)
+
+
+@pytest.mark.parametrize(
+    ("scan_us", "tail", "seed"), [(199.4, 0.13, 8), (199.4, 0.15, 20), (199.3, 0.17, 1), (199.5, 0.13, 7)]
+)
+def test_a_clock_found_anew_is_judged_by_frames_that_an_early_lock_has_published(
+    scan_us: float, tail: float, seed: int
+) -> None:
+    # Judged by the scans alone, the image of the rate begins, and 82 to 117 frames are read.
+    t_us, on, payloads, bit_us = scanned(2500.0, scan_us, 160, seed, tail=tail)
+    frames, receiver = read(t_us, on, 2500.0)
+    assert right_of(frames, t_us, payloads, bit_us) >= 150
+    assert receiver.quality(int(t_us[-1])).clock_ppm == pytest.approx(0.0, abs=100.0)
 
 
 def test_rare_scans_are_found_in_a_long_window_only_where_nothing_contradicts_them() -> None:
