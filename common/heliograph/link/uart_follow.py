@@ -12,8 +12,14 @@ response. Three ways to go on, each of which waits for exactly the sub-bins that
 Where bits are of no character, the places of the characters before them are kept: a SPAN believes one at another place
 only for more (`uart_paths`), until the LED idles.
 
-Clock: a PI loop on each decided character's offset e (sub-bins, interpolated): p += K_P e, bit += K_I e / 11. Response
-and clock could drift together, so the loop also holds the centre of the learned changes of level where it was.
+Clock: a PI loop on each decided character's offset. It is found against the learned response (o, sub-bins,
+interpolated), which moves with what is learned: by c - c_0, the centre of the learned changes of level against that at
+the beginning. Both together are the offset against where the clock began; of the response's way, the part that is more
+than the noise of single events (overdispersion F; in weak light a cold start's few events tell no c_0)::
+
+    e = o + (1 - 1 / F) (c - c_0)        p += K_P e        bit += K_I e / 11
+
+Without it response and clock drift together, behind scans of nearly half a bit by half a bit within seconds.
 """
 
 from __future__ import annotations
@@ -38,7 +44,6 @@ IDLE_STEP: Final = 4 * SUB_BINS
 # Loop gains a character: with .15 the phase settles in 7 characters, the rate in about 100.
 K_P: Final = 0.15
 K_I: Final = 0.01
-K_HOLD: Final = 0.02
 ALL_LIT: Final = (1 << CHARACTER_BITS) - 1
 # What NEXT decides at once; the rest is looked at in its surroundings.
 SURE_DEFICIT: Final = 8.0
@@ -212,10 +217,11 @@ class Follower:
         if self._after_idle:
             self.position += error
             return
+        error += (1.0 - 1.0 / self.response.f) * (self.response.change_centre() - self._centre)
         bit_bins = self.bit_bins + K_I * error / CHARACTER_BITS
         self.bit_bins = min(max(bit_bins, SUB_BINS * (1 - CLOCK_MAX)), SUB_BINS * (1 + CLOCK_MAX))
         self._slots = slots_of(self.bit_bins)
-        self.position += K_P * error + K_HOLD * (self.response.change_centre() - self._centre)
+        self.position += K_P * error
 
     def _seen(self, counts: Counts, at: int, word: int, *, ahead: bool) -> tuple[float, bool]:
         """Return the share of a character's changes that were seen, and whether the LED may have gone dark in it.
