@@ -33,6 +33,37 @@ def test_a_flood_drops_its_own_oldest_counts_it_and_spares_other_topics() -> Non
     assert inbox.dropped == {"events": 7}
 
 
+def test_a_full_stream_drops_all_that_waits_once_and_goes_on_without_a_hole() -> None:
+    inbox = Inbox({"events": 3, "tracks": 3}, frozenset({"events"}))
+    inbox.put(sample("tracks", 100))
+    for n in range(11):
+        inbox.put(sample("events", n))
+    assert [item.payload[0] for item in iter(lambda: inbox.get(0), None)] == [100, 9, 10]
+    assert inbox.dropped == {"events": 9}
+
+
+@pytest.mark.parametrize("limit", [1, 2, 7])
+def test_a_reader_that_is_slower_than_a_stream_gets_or_sees_counted_each_message(limit: int) -> None:
+    inbox = Inbox({"events": limit, "tracks": limit}, frozenset({"events"}))
+
+    def send(topic: str) -> None:
+        for n in range(3000):
+            inbox.put(Sample(topic, "k", n.to_bytes(2, "big"), n))
+
+    senders = [threading.Thread(target=send, args=(topic,)) for topic in ("events", "tracks")]
+    got: list[tuple[str, int]] = []
+    for sender in senders:
+        sender.start()
+    while any(sender.is_alive() for sender in senders) or inbox.depth():
+        found = inbox.get(0.01)
+        if found is not None:
+            got.append((found.topic, found.arrived_ns))
+    for topic in ("events", "tracks"):
+        numbers = [n for name, n in got if name == topic]
+        assert numbers == sorted(set(numbers))
+        assert len(numbers) + inbox.dropped[topic] == 3000
+
+
 def test_a_reader_that_waits_is_woken() -> None:
     inbox = Inbox({"events": 1})
     threading.Timer(0.01, inbox.put, [sample("events", 5)]).start()

@@ -11,9 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from heliograph.messages import Health
+from heliograph.shell.inbox import Sample
 from heliograph_services.cli.studies import distribution, link_runs
 from heliograph_services.cli.studies.radio import ShapedLink
 from heliograph_services.cli.studies.study import Cell, Counts, Done
+from support.records import header_of
 
 ONBOARD = Path(__file__).parents[2] / "deploy" / "sites" / "onboard.toml"
 LINK = {"bit_rate": 2e6, "delay_ms": 50.0, "cut_s": 0.0}
@@ -29,6 +32,7 @@ def done(link: dict[str, float] | None = None, **counts: object) -> Done:
         "crossed": 1020,
         "records": 5,
         "refused": 0,
+        "dropped": 3,
         "late_p99_ms": 1.5,
         "seconds": 12.0,
     }
@@ -70,7 +74,20 @@ def test_tables_have_a_row_a_link_and_the_ratio_of_the_bytes() -> None:
     assert passed.rows[0].figures["crossed / published"].value == 1.04
     assert "ratio 1.020 to 1.060" in passed.rows[0].n
     assert found.rows[1].figures["MAR_sent"].value == 0.975
+    assert [row.figures["dropped"].value for row in times.rows] == [3, 6, 3]
     assert len(distribution.panels(cells)) == 2
+
+
+def test_what_full_queues_dropped_is_what_each_process_said_last() -> None:
+    heard = link_runs.Heard()
+    for service, dropped in (("decoder", 4), ("tracker", 1), ("decoder", 9)):
+        counters = {"dropped: events": dropped, "dropped: tracks": 1, "missing: events": 50}
+        message = Health(
+            service=service, instance="a", pid=1, state="running", uptime_s=1.0, input_age_s=None, cpu_share=0.1,
+            counters=counters, gauges={},
+        )  # fmt: skip
+        heard.take(Sample("health", "k", b"", 1), header_of(message), message)
+    assert heard.dropped == {"decoder": 10, "tracker": 2}
 
 
 def test_all_links_see_the_same_scenes_and_runs_do_not() -> None:

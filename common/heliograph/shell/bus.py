@@ -33,10 +33,11 @@ from heliograph.wire import Header, Refused, encoding_of, header_for, pack, unpa
 
 _LOG = logging.getLogger(__name__)
 
-# What may wait for the core, by topic. Events come in 1 to 10 ms batches: 500 are half a second and more, at which
-# a live decoder is hopelessly late and should drop. Everything else is small and rarer.
+# What may wait for the core, by topic. A camera's streams come in 1 to 20 ms batches: 500 are half a second and more,
+# at which a live core is hopelessly late and should drop. Everything else is small and rarer.
 _QUEUE_LIMIT: Final = 4096
-_EVENTS_QUEUE_LIMIT: Final = 500
+_STREAM_QUEUE_LIMIT: Final = 500
+_STREAMS: Final = frozenset({"events", "onsets"})
 # Zenoh's own channel between its network thread and our reader; a full one would block the link (all keys).
 _CHANNEL: Final = 8192
 # Keys whose time is not bounded (`qos.Profile.kept_s`), or a flood: the oldest give way, with their history.
@@ -219,10 +220,10 @@ class Bus:
         Args:
             schemas: what to read, by schema.
             parts: schema -> first chunks after the topic (the camera); all of the site by default.
-            queue: most samples of a topic that wait, events apart; 0 for the default.
+            queue: most samples of a topic that wait, a camera's streams apart; 0 for the default.
         """
-        limits = {name: _EVENTS_QUEUE_LIMIT if name == "events" else queue or _QUEUE_LIMIT for name in schemas}
-        self.inbox = Inbox(limits)
+        limits = {name: _STREAM_QUEUE_LIMIT if name in _STREAMS else queue or _QUEUE_LIMIT for name in schemas}
+        self.inbox = Inbox(limits, _STREAMS)
         self._expected = schemas
         for name in schemas:
             expression = everything_of(self.site, name, *(parts or {}).get(name, ()))

@@ -25,15 +25,15 @@ STUDIES: Final[dict[str, str]] = {
 # false_alarms and distribution from some of their cells.
 COST_S: Final[dict[str, tuple[int, int]]] = {
     "scene": (20, 10),
-    "bit_rate": (2300, 20),
+    "bit_rate": (2200, 20),
     "distance": (2350, 20),
-    "moving": (1770, 10),
+    "moving": (1800, 10),
     "methods": (530, 10),
     "wavelength": (75, 1),
     "recordings": (35, 10),
-    "false_alarms": (2500, 20),
-    "crowd_size": (925, 20),
-    "distribution": (1200, 60),
+    "false_alarms": (2800, 20),
+    "crowd_size": (875, 20),
+    "distribution": (1100, 60),
 }
 _PACKAGE: Final = "heliograph_services.cli.studies"
 

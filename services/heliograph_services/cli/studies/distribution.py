@@ -4,7 +4,8 @@ The scene (simulated before, played at real time): eight beacons on ellipses at 
 every frame, give MAR; twelve that are switched on for .8 s at random instants, each with a payload of its own, give the
 acquisition time: from the first edge to the arrival, at a client on the camera's host, of the first right
 identification. All links see the same scenes. Processes, client and proxy share this host's processors, so times are
-those of this machine and its load: `source late` says how far the source itself was behind real time.
+those of this machine and its load: `source late` says how far the source itself was behind real time, `dropped` what a
+process that was too slow dropped in its full queues, and so could not read.
 
     MAR_sent       K = 1, as the client heard it (docs/metrics.md)
     acquisition    median and p95; what was never identified counts as later than all
@@ -115,6 +116,7 @@ def counts(seen: Scene, heard: Heard, seconds: float) -> Counts:
         "crossed": heard.crossed,
         "records": heard.records,
         "refused": heard.refused,
+        "dropped": sum(heard.dropped.values()),
         "late_p99_ms": round(1e3 * (float(np.quantile(heard.late_s, 0.99)) - zero_s), 2),
         "seconds": seconds,
     }
@@ -223,7 +225,7 @@ def mar(done: Sequence[Done]) -> Figure:
 
 
 FOUND: Final = ("MAR_sent", "acquired: median", "acquired: p95", "never acquired")
-TIMES: Final = ("frame: median", "frame: p95", "track: median", "track: p95", "source late: p99")
+TIMES: Final = ("frame: median", "frame: p95", "track: median", "track: p95", "source late: p99", "dropped")
 BYTES: Final = ("published", "crossed", "crossed / published")
 
 
@@ -245,13 +247,20 @@ def tables(done: Sequence[Done]) -> list[Table]:
         late = max(one.counts["late_p99_ms"] for one in some)
         late_of = {label: latency(some, kind, q) for label, kind, q in _LATENCIES}
         n = f"{late_of[TIMES[0]].n} frames, {late_of[TIMES[2]].n} tracks messages, {len(some)} runs"
-        times.append(Row(name, "-", {**late_of, TIMES[4]: Figure(late, unit="ms")}, "", n, EVIDENCE))
+        dropped = Figure(sum(one.counts["dropped"] for one in some), unit="messages")
+        of_all = {**late_of, TIMES[4]: Figure(late, unit="ms"), TIMES[5]: dropped}
+        times.append(Row(name, "-", of_all, "", n, EVIDENCE))
         if some[0]["link"] is not None:
             passed.append(_bytes(name, some))
     cut = "A cut goes with 2 Mbit/s and 50 ms, 4 s after the scene's beginning."
     return [
         Table("Accuracy and acquisition", FOUND, found, f"{cut} A p95 without a value: more than 5 % never."),
-        Table("Latency at a client on the camera's host", TIMES, times, "Bins of 5 %; source late: the worst run's."),
+        Table(
+            "Latency at a client on the camera's host",
+            TIMES,
+            times,
+            "Bins of 5 %; source late: the worst run's; dropped: by tracker and decoder, in their full queues.",
+        ),
         Table(
             "Bytes between tracker and the camera's host",
             BYTES,

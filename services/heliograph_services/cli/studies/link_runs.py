@@ -24,7 +24,7 @@ from typing import Final
 
 from heliograph.errors import BusError
 from heliograph.keys import parse
-from heliograph.messages import Frames, Identification, Message, Tracks
+from heliograph.messages import Frames, Health, Identification, Message, Tracks
 from heliograph.shell.bus import Bus, connected
 from heliograph.shell.inbox import Sample
 from heliograph.shell.links import client_config
@@ -112,6 +112,7 @@ class Heard:
         records: how many.
         crossed: bytes that the proxy passed, likewise; 0 without a link.
         refused: samples that were no records.
+        dropped: service -> messages that its full queues dropped, as it said last.
     """
 
     origin_s: float = math.inf
@@ -123,6 +124,7 @@ class Heard:
     records: int = 0
     crossed: int = 0
     refused: int = 0
+    dropped: dict[str, int] = field(default_factory=dict)
 
     def take(self, sample: Sample, header: Header, message: Message) -> None:
         """Keep a record."""
@@ -139,6 +141,9 @@ class Heard:
             self.tracks.append((arrived_s, message.as_of_us))
         elif isinstance(message, Identification):
             self.identities.append((arrived_s, message))
+        elif isinstance(message, Health):
+            of = [n for name, n in message.counters.items() if name.startswith("dropped: ")]
+            self.dropped[message.service] = sum(of)
 
 
 def play(file: Path, protocol: str, bit_rate: float, link: Link | None, folder: Path) -> Heard:
