@@ -1,6 +1,6 @@
 """Study 9: the tracker elsewhere: real processes, a radio link between tracker and decoder, cuts of that link.
 
-The scene (simulated before, played at real time): eight beacons on ellipses at up to .5 m/s, with new payloads for
+The scene (simulated before, played at real time): four beacons on ellipses at up to .5 m/s, with new payloads for
 every frame, give MAR; twelve that are switched on for .8 s at random instants, each with a payload of its own, give the
 acquisition time: from the first edge to the arrival, at a client on the camera's host, of the first right
 identification. All links see the same scenes. Processes, client and proxy share this host's processors, so times are
@@ -325,11 +325,11 @@ def panels(done: Sequence[Done]) -> list[Panel]:
 
 STUDY: Final = Study(
     name="distribution",
-    version=1,
+    version=2,
     title="The tracker elsewhere",
     about=(
         "Real processes; the tracker reaches the camera's host through a TCP proxy alone, .5 to 10 Mbit/s and 5 to 200"
-        " ms each way, with cuts; shared memory off. Eight moving beacons of new payloads (MAR, K = 1) and twelve that"
+        " ms each way, with cuts; shared memory off. Four moving beacons of new payloads (MAR, K = 1) and twelve that"
         " are switched on for .8 s (acquisition), 2 kbit/s, at real time. Onsets of 5 ms a tick, 20 ms a message,"
         " thinned to .8 of the link's bit rate. Times are this machine's, with its load. Not in the paper."
     ),
