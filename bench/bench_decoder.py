@@ -9,11 +9,13 @@ the records that the decoder would send (not packed). Twenty beacons at 2 kbit/s
                 nothing moves, and nothing is said but frames
     windows     the decoder's windows of 1, 2 and 5 ms
     events      1 to 20 Mev/s: shares of a core, and a straight line through them
+    scans       of 5, 10 and 20 beacons behind scans of 199 us, and without scans: 1 Mev/s, .9 of them in the images
     idle        with 0 to 1000 more tracks that hear nothing; `tracks` is what the tracker's own messages take of it
 
 Each row is the least of `--repeats`: others on the machine only add.
 
-Run: OMP_NUM_THREADS=1 python bench/bench_decoder.py [flat] [windows] [events] [idle] [--repeats 3]  (about 3 minutes)
+Run: OMP_NUM_THREADS=1 python bench/bench_decoder.py [flat] [windows] [events] [scans] [idle] [--repeats 3]
+(about 4 minutes)
 """
 
 from __future__ import annotations
@@ -43,6 +45,8 @@ from heliograph_services.decoder.core import DecoderCore, warm  # noqa: E402
 
 RESULT: Final = Path(__file__).parent / "results" / "decoder_cost.json"
 SEED, INSIDE, BATCH_US = 1, 0.35, 1_000
+# VARIABLE_5000 of the DVXplorer Mini; and a scene that holds little but beacons, as its simulated ones do.
+SCAN_US, SCANNED_INSIDE, SCANNED_HZ = 199.0, 0.9, 1e6
 SECONDS: Final = 1.5
 SKIPPED_US: Final = 500_000
 LIVE: Final = Context(instance="bench", boot="bench", lockstep=False)
@@ -168,6 +172,21 @@ def events(repeats: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def scans(repeats: int) -> list[Row]:
+    """Return a row for each number of beacons, with and without scans."""
+    out = []
+    for beacons in (5, 10, 20):
+        for scan_us in (0.0, SCAN_US):
+            corpus = decoder_corpus.corpus(
+                SEED, SECONDS, SCANNED_HZ, SCANNED_INSIDE, beacons=beacons, scan_us=scan_us
+            )  # fmt: skip
+            messages = corpus.messages(BATCH_US)
+            row = least([ours(corpus, messages, window_us=5_000) for _ in range(repeats)])
+            out.append({"beacons": beacons, "scan_us": scan_us} | row)
+            print(out[-1], flush=True)
+    return out
+
+
 def idle(repeats: int) -> list[Row]:
     """Return a row for each number of tracks that hear nothing."""
     out: list[Row] = []
@@ -181,7 +200,7 @@ def idle(repeats: int) -> list[Row]:
     return out
 
 
-PARTS: Final = {"flat": flat, "windows": windows, "events": events, "idle": idle}
+PARTS: Final = {"flat": flat, "windows": windows, "events": events, "scans": scans, "idle": idle}
 
 
 def main() -> None:

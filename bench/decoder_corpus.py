@@ -2,7 +2,8 @@
 
 Not the simulator's light: what counts here is how many events there are, and how many of them tracks hear. Each disc
 sends its own word of seed11 again and again; a change of level is a Poisson number of events on its pixels, some tens
-of microseconds late. Noise is uniform over a part of the sensor, so that tracks elsewhere hear nothing.
+of microseconds late. Noise is uniform over a part of the sensor, so that tracks elsewhere hear nothing. Behind scans
+all events of a scan have its end's time.
 """
 
 from __future__ import annotations
@@ -89,7 +90,7 @@ def _can_be_sent(payload: int) -> bool:
 
 def corpus(
     seed: int, seconds: float, events_hz: float, inside: float, *, beacons: int = 20, bit_rate: float = 2_000.0,
-    idle: int = 0,
+    idle: int = 0, scan_us: float = 0.0,
 ) -> Corpus:  # fmt: skip
     """Draw a stream.
 
@@ -101,6 +102,7 @@ def corpus(
         beacons: how many.
         bit_rate: of each.
         idle: tracks in the part of the sensor where nothing happens.
+        scan_us: time between scans; 0 for a sensor without.
     """
     rng = np.random.default_rng(seed)
     kind = modulation("seed11")
@@ -131,7 +133,7 @@ def corpus(
         )
     )
     t, xs, ys, on = (np.concatenate(column) for column in zip(*parts, strict=True))
-    t_us = t.astype(np.int64)
+    t_us = (np.ceil(t / scan_us) * scan_us if scan_us else t).astype(np.int64)
     order = np.argsort(t_us, kind="stable")
     order = order[t_us[order] < int(seconds * 1e6)]
     batch = EventBatch(t_us[order], xs[order].astype(np.uint16), ys[order].astype(np.uint16), on[order])

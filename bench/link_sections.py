@@ -102,6 +102,9 @@ def cost_section() -> str:
             f" core and {line['core_a_mev_s']} for each Mev/s; largest departure {100 * line['largest_departure']:.0f}"
             " %.\n"
         )
+    if "scans" in stored:
+        rows = [(row["beacons"], row["scan_us"] or "none", row["core"], row["frames_s"]) for row in stored["scans"]]
+        text += "\n" + table(("beacons, 1 Mev/s", "scans, us", "core", "frames a second"), rows) + "\n"
     if "idle" in stored:
         rows = [(row["idle"], row["core"], row["ratio"], row["tracks"]) for row in stored["idle"]]
         text += "\n" + table(("idle tracks", "core", "ratio", "of it the tracker's messages"), rows) + "\n"
