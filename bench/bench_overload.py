@@ -26,12 +26,13 @@ import tempfile
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from heliograph.core import Core
 from heliograph.messages import Frames, Message
 from heliograph.shell.inbox import Inbox, Sample
 from heliograph_services.cli import decode
+from heliograph_services.cli.pipeline import Pipeline
 from heliograph_services.cli.studies.distribution import blocks
 from heliograph_services.cli.studies.distribution_scene import SENSOR, Scene, scene
 from heliograph_services.cli.studies.verdicts import verdicts
@@ -83,7 +84,7 @@ class Messages:
             pipeline.feed(step.messages)
         self.scale = LOAD * SECONDS_S / self.cost_s()
 
-    def _built(self) -> tuple[Core, object, object]:
+    def _built(self) -> tuple[Core, Any, Pipeline]:
         flags = [str(self._file), "--protocol", "seed11", "--bit-rate", "2000"]
         stream, pipeline, cores = decode.build(decode.parser().parse_args(flags))
         return cores[1], stream, pipeline

@@ -103,8 +103,11 @@ def cost_section() -> str:
             " %.\n"
         )
     if "scans" in stored:
-        rows = [(row["beacons"], row["scan_us"] or "none", row["core"], row["frames_s"]) for row in stored["scans"]]
-        text += "\n" + table(("beacons, 1 Mev/s", "scans, us", "core", "frames a second"), rows) + "\n"
+        rows = [
+            (row["beacons"], row["scan_us"] or "none", row["core"], row["frames_s"], row["n"])
+            for row in stored["scans"]
+        ]
+        text += "\n" + table(("beacons, 1 Mev/s", "scans, us", "core", "frames a second", "runs"), rows) + "\n"
     if "idle" in stored:
         rows = [(row["idle"], row["core"], row["ratio"], row["tracks"]) for row in stored["idle"]]
         text += "\n" + table(("idle tracks", "core", "ratio", "of it the tracker's messages"), rows) + "\n"
