@@ -1,9 +1,10 @@
-"""Write docs/results.md from stored results: studies (results/, `heliograph evaluate`), then benches (bench/results).
+"""Write docs/results.md, and README's figures, from stored results: studies (results/, `heliograph evaluate`), then
+benches (bench/results).
 
     python bench/make_results.py [--check]
 
-`--check` writes nothing and fails if the page is not what the results give. A section whose results are not there is
-left out. Bounds are for 95 %: of nothing found in T, 3 / T (ln 20 = 3.0).
+`--check` writes nothing and fails if either is not what the results give, and says which. A section of the page whose
+results are not there is left out. Bounds are for 95 %: of nothing found in T, 3 / T (ln 20 = 3.0).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import link_sections
+import readme_figures
 from link_sections import table
 
 from heliograph_services.cli.studies import results_page
@@ -23,6 +25,7 @@ from heliograph_services.cli.studies import results_page
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "bench" / "results"
 PAGE = ROOT / "docs" / "results.md"
+README = ROOT / "README.md"
 HEAD = """# Results
 
 Written by `bench/make_results.py` from stored results: those of the studies (`heliograph evaluate`, in `results`), then
@@ -139,11 +142,17 @@ def main() -> int:
     arguments = parser.parse_args()
     studies = results_page.sections(ROOT / "results", "../results/")
     parts = [*studies, *(part for part in (section() for section in sections()) if part)]
-    text = "\n".join([HEAD, contents(parts), *parts])
-    if arguments.check:
-        return int(not PAGE.is_file() or PAGE.read_text() != text)
-    PAGE.write_text(text)
-    return 0
+    pages = {
+        PAGE: "\n".join([HEAD, contents(parts), *parts]),
+        README: readme_figures.written(README.read_text()),
+    }
+    old = [path for path, text in pages.items() if not path.is_file() or path.read_text() != text]
+    for path in old:
+        if arguments.check:
+            print(f"{path.relative_to(ROOT)} does not say what the stored results give", file=sys.stderr)
+        else:
+            path.write_text(pages[path])
+    return int(arguments.check and bool(old))
 
 
 if __name__ == "__main__":
