@@ -8,7 +8,8 @@ from typing import Any, cast
 import numpy as np
 
 from heliograph_services.cli.studies.contest import Run
-from heliograph_services.cli.studies.methods import windows
+from heliograph_services.cli.studies.methods import tables, windows
+from heliograph_services.cli.studies.study import Cell, Done
 from heliograph_services.cli.studies.verdicts import MISSING, RIGHT, WRONG
 
 WINDOW_US = 50_000
@@ -48,3 +49,31 @@ def test_a_window_in_which_a_frame_does_not_count_does_not_count() -> None:
     sent, read, wrong = sums(rows)
     assert sent == read < 39
     assert wrong == 0
+
+
+def one(rate: float, right: list[int], *, distance_m: float = 5.0, moves: bool = False) -> Done:
+    """Return a cell of ours: 100 frames in each of its seconds, so many right."""
+    blocks = [[0, second, 100, n, 0, 0, 0] for second, n in enumerate(right)]
+    parameters = {"method": "ours", "rate": rate, "distance_m": distance_m, "moves": moves}
+    return Done(Cell(parameters, 0), {"blocks": {"ours": blocks}, "inserted": {"ours": 0}}, 0.0)
+
+
+def test_throughput_and_range_lie_between_what_the_bounds_of_mar_give() -> None:
+    perfect, good, bad = [100] * 90, [97, 93] * 45, [50] * 90
+    cells = [one(500.0, perfect), one(1000.0, perfect), one(2000.0, good), one(2500.0, bad)]
+    cells += [one(1000.0, bad, distance_m=40.0), one(1000.0, perfect, moves=True)]
+    figures = tables(cells)[0].rows[0].figures
+    throughput, goodput, distance = (figures[name] for name in ("throughput", "goodput", "range"))
+    assert (throughput.low, throughput.value, throughput.high) == (1000.0, 2000.0, 2000.0)
+    assert goodput.value == round(0.95 * 2000 * 6 / 11, 1)
+    assert goodput.low is not None
+    assert goodput.high is not None
+    assert goodput.low < goodput.value < goodput.high
+    assert (distance.low, distance.value, distance.high) == (5.0, 5.0, 5.0)
+    assert goodput.n == 9000
+
+
+def test_few_frames_leave_open_what_is_held() -> None:
+    cells = [one(500.0, [100] * 3), one(1000.0, [100] * 3), one(1000.0, [100] * 3, moves=True)]
+    throughput = tables(cells)[0].rows[0].figures["throughput"]
+    assert (throughput.low, throughput.value, throughput.high) == (0.0, 1000.0, 1000.0)

@@ -174,7 +174,7 @@ def _finish(study: Study, book: Book, cells: Sequence[Cell], out: Path, *, as_js
     from heliograph_services.cli.studies.pictures import can_draw, draw  # noqa: PLC0415
     from heliograph_services.cli.studies.stored import result_of, write_result  # noqa: PLC0415
 
-    result = result_of(study, book, cells)
+    result = result_of(study, book.head, book.looks, book.done, cells)
     path = out / f"{study.name}.json"
     write_result(path, result)
     done = [book.done[cell.key] for cell in cells if cell.key in book.done]

@@ -1,4 +1,4 @@
-"""The tables of study 7: what was told where there was nothing to tell, with the time that was listened."""
+"""The tables and plots of study 7: what was told where there was nothing to tell, with the time that was listened."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
-from heliograph_services.cli.studies.study import Counts, Done, Figure, Row, Table
+from heliograph_services.cli.studies.study import Counts, Done, Dots, Figure, Row, Table
 
 # Lights of a camera (`false_lights`).
 CAMERA: Final = 32
@@ -45,6 +45,31 @@ def tables(done: Sequence[Done]) -> list[Table]:
             " frames as an identity takes, or more. *Square waves*: told as a payload that any PWM of that period is.",
         ),
         Table("Told wrongly, light by light", ("times",), _told(done), "`protocol@bit rate` of the reader."),
+    ]
+
+
+def panels(done: Sequence[Done]) -> list[Dots]:
+    """Return what is told wrongly at most: by kind of light a dot for each protocol's reader."""
+    found: dict[str, dict[str, dict[str, Figure]]] = {}
+    for table in tables(done)[:2]:
+        kinds = found.setdefault(table.title, {})
+        for row in table.rows:
+            kind, _, protocol = row.what.partition(": ")
+            if protocol:
+                kind = kind.replace(" of it", " of the room")
+                kinds.setdefault(kind, {})[protocol] = row.figures["a track-hour, at most"]
+    protocols = dict.fromkeys(name for kinds in found.values() for some in kinds.values() for name in some)
+    label = "told wrongly a track-hour, at most (x: found)"
+    return [
+        Dots(
+            title,
+            label,
+            list(kinds),
+            {name: [some.get(name, Figure(None)) for some in kinds.values()] for name in protocols},
+            log_x=True,
+            bounds=True,
+        )
+        for title, kinds in found.items()
     ]
 
 

@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 
 from heliograph.link.bitrate import likely_bit_rates
-from heliograph_services.cli.studies.false_alarm_tables import tables
+from heliograph_services.cli.studies.false_alarm_tables import panels, tables
 from heliograph_services.cli.studies.false_lights import CAMERA, LIGHTS, Seen, beacon, light, watched
 from heliograph_services.cli.studies.false_scenes import (
     clutter,
@@ -290,4 +290,5 @@ STUDY = Study(
     cells=cells,
     run=run,
     tables=tables,
+    panels=panels,
 )

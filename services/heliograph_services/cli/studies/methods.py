@@ -15,12 +15,13 @@ others' receivers have the one setting that reads most on development seeds.
 
 Throughput is the highest bit rate, of those tested, up to which at every tested one the value of MAR_sent is at least
 .95, still at 5 m; goodput the data bits of right frames a second at the best rate; tracking MAR_sent at 2 m/s, at the
-method's own published rate; range the largest distance that has MAR_sent of .95 at that rate, of those tested. Values,
-not bounds: with 3 runs bounds would say little.
+method's own published rate; range the largest distance that has MAR_sent of .95 at that rate, of those tested. Their
+intervals come from those of MAR_sent: what its lower bounds would give, and its upper ones.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -36,6 +37,7 @@ from heliograph_services.cli.studies.study import (
     Cell,
     Counts,
     Done,
+    Dots,
     Figure,
     Parameters,
     Row,
@@ -278,8 +280,9 @@ def tables(done: Sequence[Done]) -> list[Table]:
         worse = "; ".join(behind) or ("nowhere" if name.startswith("ours") else "")
         rows.append(Row(METHODS[name].about, METHODS[name].published, figures, worse, n))
     note = (
-        "Throughput: bit/s on the air; goodput: data bits a second, none for a frequency; values without bounds. All"
-        " but ours read one payload that repeats, or text; images are those of a rendered camera. Frames of a frequency"
+        "Throughput: bit/s on the air; goodput: data bits a second, none for a frequency. Their intervals, and that of"
+        " the range: by the bounds of MAR_sent, which are below .95 for few frames even where all are right. All but"
+        " ours read one payload that repeats, or text; images are those of a rendered camera. Frames of a frequency"
         " are its receiver's windows of 50 ms. Others' receivers are tuned on development seeds."
     )
     return [Table("Methods", COLUMNS, rows, note)]
@@ -293,25 +296,61 @@ def _figures(method: Method, done: Sequence[Done]) -> dict[str, Figure]:
     near = [one for one in still if one["distance_m"] == NEAR_M]
     own = [one for one in still if one["rate"] == method.own_rate]
     rates = {rate: contest.mar(some, method.arm) for (rate,), some in sorted(contest.grouped(near, "rate").items())}
-    goodput = max((found.value or 0.0) * rate * method.data_share for rate, found in rates.items()) if rates else None
     moved = contest.mar([one for one in done if one["moves"]], method.arm)
     away = {d: contest.mar(some, method.arm) for (d,), some in sorted(contest.grouped(own, "distance_m").items())}
     return {
-        "throughput": Figure(_held(rates), unit="bit/s"),
-        "goodput": Figure(None if goodput is None else round(goodput, 1), unit="bit/s"),
+        "throughput": _held(rates, "bit/s"),
+        "goodput": _goodput(rates, method.data_share),
         "MAR at 2 m/s": moved,
-        "range": Figure(_held(away), unit="m"),
+        "range": _held(away, "m"),
     }
 
 
-def _held(found: dict[float, Figure]) -> float | None:
+def _goodput(found: dict[float, Figure], data_share: float) -> Figure:
+    """Return the data bits of right frames a second at the rate that has most of them."""
+    if not found:
+        return Figure(None)
+    rate, best = max(found.items(), key=lambda item: (item[1].value or 0.0) * item[0])
+    value, low, high = (round((one or 0.0) * rate * data_share, 1) for one in (best.value, best.low, best.high))
+    return Figure(value, low, high, best.n, "bit/s")
+
+
+def _held(found: dict[float, Figure], unit: str) -> Figure:
     """Return the largest of the rising numbers up to which all hold; 0 where the first does not."""
+    if not found:
+        return Figure(None)
+    n = sum(one.n for one in found.values())
+    each = [(one.value, one.low, one.high) for one in found.values()]
+    value, low, high = (_last_held(list(found), shares) for shares in zip(*each, strict=True))
+    return Figure(value, low, high, n, unit)
+
+
+def _last_held(numbers: Sequence[float], shares: Sequence[float | None]) -> float:
     held = 0.0
-    for number, one in found.items():
-        if (one.value or 0.0) < HELD:
+    for number, share in zip(numbers, shares, strict=True):
+        if (share or 0.0) < HELD:
             break
         held = number
-    return held if found else None
+    return held
+
+
+def panels(done: Sequence[Done]) -> list[Dots]:
+    """Return a panel for each column."""
+    (table,) = tables(done)
+    labels = ("bit/s", "bit/s", "MAR_sent", "m")
+    said = [re.search(r"(\d+) bit/s", row.published) for row in table.rows]
+    quoted = [(i, float(one[1])) for i, one in enumerate(said) if one]
+    names = [row.what for row in table.rows]
+    return [
+        Dots(
+            column,
+            label,
+            names,
+            {"measured here": [row.figures[column] for row in table.rows]},
+            quoted=quoted if column == "throughput" else [],
+        )
+        for column, label in zip(COLUMNS, labels, strict=True)
+    ]
 
 
 STUDY: Final = Study(
@@ -328,4 +367,5 @@ STUDY: Final = Study(
     cells=cells,
     run=run,
     tables=tables,
+    panels=panels,
 )

@@ -15,6 +15,7 @@ newest message has none within the beacon's gate), *region off* (none of the dec
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -26,7 +27,7 @@ from heliograph_services.cli.pipeline import ONE_PROCESS
 from heliograph_services.cli.studies import contest
 from heliograph_services.cli.studies.contest import Scene
 from heliograph_services.cli.studies.link_scenes import CONDITIONS, Condition, scenario
-from heliograph_services.cli.studies.study import Cell, Counts, Done, Figure, Parameters, Row, Size, Study, Table
+from heliograph_services.cli.studies.study import Cell, Counts, Done, Dots, Figure, Parameters, Row, Size, Study, Table
 from heliograph_services.cli.studies.verdicts import RIGHT, WRONG, gates_px, tracked
 from heliograph_services.decoder.config import DecoderConfig
 
@@ -140,6 +141,8 @@ def lost(found: contest.Run, places: Sequence[npt.NDArray[np.float64]]) -> dict[
     }
 
 
+# The end of a row's name.
+MAR: Final = ": MAR"
 COLUMNS: Final = {**contest.PAPERS, "ours": "ours", "genie": "genie"}
 NRP_COLUMNS: Final = {
     "paper's tracker, flow": "paper/flow",
@@ -168,7 +171,7 @@ def tables(done: Sequence[Done]) -> list[Table]:
 
 
 def _rows(condition: Condition, some: Sequence[Done], columns: dict[str, str]) -> list[Row]:
-    first = contest.row(f"{condition.name}: MAR", some, columns, QUOTED.get(condition.name, ("-", "-"))[0])
+    first = contest.row(f"{condition.name}{MAR}", some, columns, QUOTED.get(condition.name, ("-", "-"))[0])
     ear = contest.EARS.index(contest.better_ear(some)) + 1
     causes = []
     for cause in CAUSES:
@@ -188,13 +191,36 @@ def _rows(condition: Condition, some: Sequence[Done], columns: dict[str, str]) -
         inserted = sum(one.counts["inserted"].get(contest.OURS, 0) for one in some)
         sent = int(mine[:, contest.SENT].sum())
         errors = sent - int(mine[:, contest.READ].sum()) + inserted
-        cer = Figure(round(errors / sent, 5) if sent else None, n=sent)
+        cer = _cer(errors, sent, first.figures["ours"])
         return [first, Row(f"{condition.name}: CER", "-", {"ours": cer}, "", f"{sent} characters")]
     ears = {name: contest.better_ear(some) if arm == "genie" else arm for name, arm in columns.items()}
     if not contest.table_of(some, contest.OURS)[:, contest.BITS].any():
         return [first]
     bars = {name: contest.bar(some, arm) for name, arm in ears.items()}
     return [first, Row(f"{condition.name}: BAR", "-", bars, "", f"{bars['ours'].n} bits")]
+
+
+def _cer(errors: int, sent: int, right: Figure) -> Figure:
+    """Return a character error rate: its interval is as wide as that of the characters that are right."""
+    if not sent:
+        return Figure(None)
+    rate = errors / sent
+    if right.value is None or right.low is None or right.high is None:
+        return Figure(round(rate, 5), n=sent)
+    low, high = rate - (right.high - right.value), rate + (right.value - right.low)
+    return Figure(round(rate, 5), round(max(low, 0.0), 5), round(high, 5), sent)
+
+
+def panels(done: Sequence[Done]) -> list[Dots]:
+    """Return MAR_sent of each table's conditions."""
+    out = []
+    for table in tables(done):
+        rows = [row for row in table.rows if row.what.endswith(MAR)]
+        said = [re.search(r"MAR (\d?\.\d+)", row.published) for row in rows]
+        quoted = [(i, float(one[1])) for i, one in enumerate(said) if one]
+        dots = {name: [row.figures.get(name, Figure(None)) for row in rows] for name in table.columns}
+        out.append(Dots(table.title, "MAR_sent", [row.what.removesuffix(MAR) for row in rows], dots, quoted=quoted))
+    return out
 
 
 STUDY: Final = Study(
@@ -211,5 +237,6 @@ STUDY: Final = Study(
     cells=cells,
     run=run,
     tables=tables,
+    panels=panels,
     plugs=True,
 )

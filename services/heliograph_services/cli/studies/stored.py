@@ -184,26 +184,34 @@ def read_cells(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]], dict[s
     return head, looks, done
 
 
-def result_of(study: Study, book: Book, cells: Sequence[Cell]) -> dict[str, Any]:
+def result_of(
+    study: Study,
+    head: dict[str, Any],
+    looks: Sequence[dict[str, Any]],
+    found: dict[str, Done],
+    cells: Sequence[Cell],
+) -> dict[str, Any]:
     """Return the result of the cells that are done, in the order of the study's own list.
 
     Args:
         study: which.
-        book: with the cells.
+        head: what its file begins with (`read_cells`).
+        looks: likewise, of each time that cells were run.
+        found: the cells that are done, by key.
         cells: all of the study.
     """
-    done = [book.done[cell.key] for cell in cells if cell.key in book.done]
+    done = [found[cell.key] for cell in cells if cell.key in found]
     seeds = sorted({one.cell.seed for one in done})
     return {
-        **book.head,
+        **head,
         "title": study.title,
         "about": study.about,
         "evidence": study.evidence,
         "preset": study.preset,
         "timing": study.timing,
-        "commit": book.looks[-1]["commit"] if book.looks else "unknown",
-        "machine": book.looks[-1]["machine"] if book.looks else {},
-        "looks": len(book.looks),
+        "commit": looks[-1]["commit"] if looks else "unknown",
+        "machine": looks[-1]["machine"] if looks else {},
+        "looks": len(looks),
         "cells": len(cells),
         "cells_done": len(done),
         "seeds": {"first": seeds[0] if seeds else None, "last": seeds[-1] if seeds else None, "count": len(seeds)},

@@ -172,6 +172,29 @@ class Panel:
 
 
 @dataclass(frozen=True, slots=True)
+class Dots:
+    """A plot of conditions, one below the other: in each, a dot with its interval for each who reads.
+
+    Args:
+        title: above it.
+        x_label: below it.
+        rows: the conditions, from above.
+        dots: by name, a figure for each condition; without a value: no dot.
+        log_x: whether x is logarithmic.
+        bounds: the figures are what nothing found excludes, but those of the unit `found`.
+        quoted: (row, x) of the paper's values.
+    """
+
+    title: str
+    x_label: str
+    rows: list[str]
+    dots: dict[str, list[Figure]]
+    log_x: bool = False
+    bounds: bool = False
+    quoted: list[tuple[int, float]] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
 class Study:
     """A study.
 
@@ -185,7 +208,7 @@ class Study:
         cells: parameters of all cells of a size.
         run: one cell; a function of a module's own, so that another process can find it.
         tables: of the cells that are done.
-        panels: likewise; empty without a plot.
+        panels: likewise; None: it has a picture.
         timing: its figures are times of this machine, and differ from run to run.
         plugs: its cells have `arms`, and peers can be among them.
         missing: why it cannot be run here (data that are not shipped); empty: it can.
@@ -201,7 +224,7 @@ class Study:
     cells: Callable[[Size], list[Parameters]]
     run: Callable[[Cell], Counts]
     tables: Callable[[Sequence[Done]], list[Table]]
-    panels: Callable[[Sequence[Done]], list[Panel]] | None = None
+    panels: Callable[[Sequence[Done]], Sequence[Panel | Dots]] | None = None
     timing: bool = False
     plugs: bool = False
     missing: Callable[[], str] | None = None
