@@ -21,8 +21,7 @@ STUDIES: Final[dict[str, str]] = {
     "crowd_size": "1 to 200 beacons at once",
     "distribution": "the tracker behind a slow link, with real processes",
 }
-# About how many CPU seconds a full and a quick run take on a core of two shared ones (x86, 2026): from whole runs;
-# false_alarms and distribution from some of their cells.
+# About how many CPU seconds a full and a quick run take on a core of two shared ones (x86, 2026): from whole runs.
 COST_S: Final[dict[str, tuple[int, int]]] = {
     "scene": (20, 10),
     "bit_rate": (2200, 20),
