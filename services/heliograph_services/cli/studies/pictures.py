@@ -19,9 +19,10 @@ DOTS_A_ROW: Final = 2
 WIDTH_IN: Final = 6.2
 ROW_IN: Final = 3.6
 ROW_NAMED_IN: Final = 4.9
-# Inches of a dot in a condition; of the panel about the conditions, and its share below it where names stand there.
+# Inches of a dot in a condition; of the panel about the conditions; of numbers and label below it.
 DOT_IN: Final = 0.11
 DOTS_IN: Final = 1.9
+LABEL_IN: Final = 0.45
 
 
 def can_draw() -> bool:
@@ -106,13 +107,21 @@ def _panels(plt: Any, panels: Sequence[Panel | Dots]) -> Any:
         handles, labels = axis.get_legend_handles_labels()
         named.update(zip(labels, handles, strict=True))
         if handles and not alike:
-            below = -0.14 if isinstance(panel, Panel) else -0.55 / _height_in(panel, alike)
-            axis.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, below), ncols=3)
+            below = _below(figure, axis) if isinstance(panel, Dots) else axis.transAxes
+            at = (0.5, 0.0 if isinstance(panel, Dots) else -0.14)
+            axis.legend(fontsize=7, loc="upper center", bbox_to_anchor=at, bbox_transform=below, ncols=3)
     for axis in list(axes.flat)[len(panels) :]:
         axis.set_visible(False)
     if named and alike:
         figure.legend(list(named.values()), list(named), loc="outside lower center", ncols=len(named))
     return figure
+
+
+def _below(figure: Any, axis: Any) -> Any:
+    """Return the axes' coordinates, but from under the label: panels of dots differ in height."""
+    from matplotlib.transforms import ScaledTranslation  # noqa: PLC0415 - an extra
+
+    return axis.transAxes + ScaledTranslation(0.0, -LABEL_IN, figure.dpi_scale_trans)
 
 
 def _panel(axis: Any, panel: Panel) -> None:
