@@ -35,6 +35,8 @@ where the frames are the same). A bound is what nothing found excludes with 95 %
 """
 
 
+# How many differences of two runs are listed on the page.
+LISTED = 20
 # The column of a study's tables that says where ours is worse.
 WORSE = "where we are worse"
 
@@ -89,16 +91,23 @@ def repeated_section() -> str:
         if "cells" in one:
             alone = one["only_first"] + one["only_second"]
             equal = f"{one['equal']} of {one['cells']} cells" + (f"; {alone} in one run alone" if alone else "")
-            told = (equal, "; ".join(one["differ"]) or "-")
+            told = (equal, _listed(one["differ"]))
         else:
-            told = (f"{one['within']} of {one['figures']} figures within", "; ".join(one["outside"]) or "-")
-        rows.append((name, first, second, *told))
+            told = (f"{one['within']} of {one['figures']} figures within", _listed(one["outside"]))
+        rows.append((name, first, second, " / ".join(f"{value:,.0f}" for value in one["cpu_s"]), *told))
+    totals = [sum(one["cpu_s"][i] for one in stored["studies"].values()) for i in (0, 1)]
     said = (
         "## A second run\n\nAll studies were run twice, from the same seeds. Counts are equal or not; of the study"
-        " with real processes each second figure lies in the first's interval, or is listed."
-        " `bench/repeat_results.py`.\n\n"
+        " with real processes each second figure lies in the first's interval, or is listed. The same cells took"
+        f" {totals[0]:,.0f} CPU s, then {totals[1]:,.0f}: times are of a machine that is shared, and an interval from"
+        " twenty minutes of it does not hold for another hour. `bench/repeat_results.py`.\n\n"
     )
-    return said + table(("study", "first", "second", "equal", "different"), rows) + "\n"
+    return said + table(("study", "first", "second", "CPU s", "equal", "different"), rows) + "\n"
+
+
+def _listed(different: list[str]) -> str:
+    more = f"; and {len(different) - LISTED} more (`bench/results/repeated.json`)" if len(different) > LISTED else ""
+    return ("; ".join(different[:LISTED]) or "-") + more
 
 
 def contents(parts: list[str]) -> str:

@@ -5,8 +5,9 @@
 Cells of both are compared by study, parameters and seed. Their counts must be the same to the last digit, but for CPU
 times; of a cell that both ran with other readers, what both readers made of it. A study of real processes and of
 times (`timing`) has no equal cells: of each of its rows with an interval, the second value lies within the first's
-interval, or outside. A difference is listed, with its cell or row. Exit status 1 where cells differ, 2 where there is
-nothing to compare.
+interval, or outside. A difference is listed, with its cell or row. `cpu_s` is what the cells of both took in each run:
+where the same work took longer, the machine was another, or had other tenants. Exit status 1 where cells differ, 2
+where there is nothing to compare.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from typing import Any, Final
 
 RESULT: Final = Path(__file__).parent / "results" / "repeated.json"
 Cells = dict[str, dict[str, Any]]
-# How many differences of a study are listed.
+# How many differences of a study are printed; all are stored.
 LISTED: Final = 20
 
 
@@ -32,6 +33,16 @@ def cells_of(path: Path) -> Cells:
             what = {name: value for name, value in one["cell"].items() if name != "arms"}
             out[f"{json.dumps(what, sort_keys=True)} seed {one['seed']}"] = timeless(one["counts"])
     return out
+
+
+def cpu_s_of(first: Path, second: Path) -> list[float]:
+    """Return what the cells that both files hold took in each, in CPU seconds."""
+    took: list[dict[str, float]] = []
+    for path in (first, second):
+        lines = map(json.loads, path.read_text(encoding="utf-8").splitlines())
+        took.append({json.dumps([one["cell"], one["seed"]]): one["cpu_s"] for one in lines if "cell" in one})
+    both = took[0].keys() & took[1].keys()
+    return [round(sum(one[key] for key in both), 1) for one in took]
 
 
 def timeless(value: Any) -> Any:
@@ -69,7 +80,7 @@ def equal_cells(first: Path, second: Path) -> dict[str, Any]:
         "equal": len(both) - len(differ),
         "only_first": len(one) - len(both),
         "only_second": len(other) - len(both),
-        "differ": differ[:LISTED],
+        "differ": differ,
     }
 
 
@@ -89,7 +100,7 @@ def within(first: Path, second: Path) -> dict[str, Any]:
             inside += 1
         else:
             outside.append(f"{' / '.join(key)}: {theirs['value']} not in [{mine['low']} {mine['high']}]")
-    return {"figures": inside + len(outside), "within": inside, "outside": outside[:LISTED]}
+    return {"figures": inside + len(outside), "within": inside, "outside": outside}
 
 
 def compared(first: Path, second: Path) -> dict[str, Any]:
@@ -102,10 +113,9 @@ def compared(first: Path, second: Path) -> dict[str, Any]:
             continue
         heads = [json.loads(one.read_text(encoding="utf-8")) for one in (path, other)]
         looks[path.stem] = [{"commit": head["commit"], "machine": head["machine"]} for head in heads]
-        if heads[0]["timing"]:
-            studies[path.stem] = within(path, other)
-        else:
-            studies[path.stem] = equal_cells(path.with_suffix(".jsonl"), other.with_suffix(".jsonl"))
+        cells = [one.with_suffix(".jsonl") for one in (path, other)]
+        found = within(path, other) if heads[0]["timing"] else equal_cells(*cells)
+        studies[path.stem] = found | {"cpu_s": cpu_s_of(*cells)}
     return {"studies": studies, "looks": looks}
 
 
@@ -121,8 +131,13 @@ def main() -> int:
         parser.error(f"{arguments.first} and {arguments.second} have no cell of a study in common")
     arguments.out.write_text(json.dumps(out, indent=1) + "\n", encoding="utf-8")
     for name, one in out["studies"].items():
-        print(f"{name:14}" + "  ".join(f"{key} {value}" for key, value in one.items() if not isinstance(value, list)))
-        print("".join(f"    {line}\n" for line in one.get("differ") or one.get("outside") or []), end="")
+        first_s, second_s = one["cpu_s"]
+        told = "  ".join(f"{key} {value}" for key, value in one.items() if isinstance(value, int))
+        print(f"{name:14}{told}  CPU s {first_s:.0f}, {second_s:.0f}")
+        different = one.get("differ") or one.get("outside") or []
+        print("".join(f"    {line}\n" for line in different[:LISTED]), end="")
+        if len(different) > LISTED:
+            print(f"    and {len(different) - LISTED} more: {arguments.out}")
     return int(any(one.get("differ") for one in out["studies"].values()))
 
 

@@ -18,7 +18,8 @@ def a_run(folder: Path, frames: list[int], *, cpu_s: float = 1.0, arms: tuple[st
     lines: list[dict[str, Any]] = [{"schema": 1, "study": "moving"}, {"look": HEAD}]
     for seed, told in enumerate(frames):
         counts = {"blocks": {arm: [[0, told]] for arm in arms}, "cpu_s": cpu_s}
-        lines.append({"cell": {"distance_m": 5.0, "arms": list(arms)}, "seed": seed, "counts": counts})
+        cell = {"distance_m": 5.0, "arms": list(arms)}
+        lines.append({"cell": cell, "seed": seed, "counts": counts, "cpu_s": cpu_s})
     (folder / "moving.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     (folder / "moving.json").write_text(json.dumps({**HEAD, "timing": False, "tables": []}))
     return folder
@@ -30,6 +31,7 @@ def a_timing(folder: Path, value: float) -> Path:
     figure = {"value": value, "low": value - 0.1, "high": value + 0.1}
     table = {"title": "latency", "rows": [{"what": "5 ms", "figures": {"p50_ms": figure}}]}
     (folder / "distribution.json").write_text(json.dumps({**HEAD, "timing": True, "tables": [table]}))
+    (folder / "distribution.jsonl").write_text('{"schema": 1}\n')
     return folder
 
 
@@ -46,6 +48,7 @@ def test_equal_cells_that_took_other_times_are_equal(tmp_path: Path) -> None:
     moving = out["studies"]["moving"]
     assert status == 0
     assert (moving["cells"], moving["equal"], moving["only_first"], moving["only_second"]) == (2, 2, 0, 0)
+    assert moving["cpu_s"] == [2.0, 18.0]
 
 
 def test_a_cell_that_counted_one_frame_less_is_found_and_named(tmp_path: Path) -> None:
