@@ -65,6 +65,24 @@ def test_the_interval_of_an_acquisition_time_is_that_of_order_statistics() -> No
     assert (few.value, few.high) == (3.0, None)
 
 
+def test_intervals_reach_from_run_to_run() -> None:
+    runs = [done(acquired_ms=[base + i / 10 for i in range(20)]) for base in (100.0, 200.0, 300.0)]
+    found = distribution.acquisition(runs, 0.5)
+    assert found.low is not None
+    assert found.high is not None
+    assert found.low < 102.0 < 300.0 < found.high
+    slow = [done(frame_ms={"0": {str(i): 50}, "1": {str(i): 50}}) for i in (60, 70, 80)]
+    late = distribution.latency(slow, "frame_ms", 0.5)
+    assert late.low is not None
+    assert late.high is not None
+    assert late.high / late.low == pytest.approx(distribution.STEP**20, rel=0.02)
+    bad = [done(blocks={"ours": [[0, i, 100, right] for i in range(30)]}) for right in (100, 100, 70)]
+    share = distribution.mar(bad)
+    assert share.value == 0.9
+    assert share.low == 0.7  # one draw in 27 has the bad run alone
+    assert share.high == 1.0
+
+
 def test_tables_have_a_row_a_link_and_the_ratio_of_the_bytes() -> None:
     cells = [done(), done(LINK), done(LINK, crossed=1060), done(LINK | {"cut_s": 2.0})]
     found, times, passed = distribution.tables(cells)
