@@ -1,7 +1,8 @@
 """The table of figures in README.md, written from stored results: `python bench/make_results.py`.
 
 A row: what was measured, its evidence, the figure as the stored results give it, where it comes from. No figure is
-typed here: numbers of a row's first column are conditions (a bit rate, a distance). Shares are told with three digits.
+typed here, but one that a test counts (`_beacon`): numbers of a row's first column are conditions (a bit rate, a
+distance). Shares are told with three digits.
 A row whose result is not there is an error: README's figures are those of every result that the project ships.
 """
 

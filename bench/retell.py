@@ -15,6 +15,7 @@ import sys
 from pathlib import Path
 from typing import Any, Final
 
+from heliograph.errors import HeliographError
 from heliograph_services.cli.studies.catalogue import STUDIES, load
 from heliograph_services.cli.studies.pictures import can_draw, draw
 from heliograph_services.cli.studies.stored import read_cells, read_result, result_of, write_result
@@ -44,7 +45,10 @@ def main() -> int:
     arguments = parser.parse_args()
     different = []
     for name in arguments.studies:
-        study, done, result = told(RESULTS / f"{name}.jsonl")
+        try:
+            study, done, result = told(RESULTS / f"{name}.jsonl")
+        except (HeliographError, ValueError) as error:
+            parser.error(str(error))
         path = RESULTS / f"{name}.json"
         # As it is written: numbers of JSON.
         result = json.loads(json.dumps(result))
