@@ -2,9 +2,10 @@
 
     python bench/bench_overload.py [-o bench/results/overload.json]       three minutes of one core
 
-Sixteen lights at 2 kbit/s, six lit at a time (the scene of `heliograph evaluate distribution`, development seed 5,
-twelve seconds). The real core is fed through the real `Inbox` by a simulated clock: a message arrives at its camera
-time, and keeps the core busy for the CPU time that it took, scaled so that the scene alone keeps it busy for LOAD of
+Sixteen lights at 2 kbit/s, six lit at a time (the scene of `heliograph evaluate distribution`, at twice its bit rate;
+development seed 5, twelve seconds). The real core is fed through the real `Inbox` by a simulated clock: a message
+arrives at its camera time, and keeps the core busy for the CPU time that it took, scaled so that the scene alone keeps
+it busy for LOAD of
 the time. From 3 to 5 s the core is `slow` times as slow; `for good` is slow from 3 s on. The queue holds a second of
 events, as a live site's.
 
@@ -39,7 +40,7 @@ from heliograph_services.cli.studies.verdicts import verdicts
 from heliograph_services.event_source.cameras.formats.npz import write_npz
 
 RESULT: Final = Path(__file__).parent / "results" / "overload.json"
-SEED, SECONDS_S = 5, 12.0
+SEED, SECONDS_S, BIT_RATE = 5, 12.0, 2_000
 LOAD: Final = 0.75
 SLOW_FROM_S, SLOW_TO_S = 3.0, 5.0
 # (how many times as slow, for good)
@@ -85,7 +86,7 @@ class Messages:
         self.scale = LOAD * SECONDS_S / self.cost_s()
 
     def _built(self) -> tuple[Core, Any, Pipeline]:
-        flags = [str(self._file), "--protocol", "seed11", "--bit-rate", "2000"]
+        flags = [str(self._file), "--protocol", "seed11", "--bit-rate", str(BIT_RATE)]
         stream, pipeline, cores = decode.build(decode.parser().parse_args(flags))
         return cores[1], stream, pipeline
 
@@ -148,7 +149,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--out", type=Path, default=RESULT)
     arguments = parser.parse_args()
-    seen = scene(SEED, SECONDS_S)
+    seen = scene(SEED, SECONDS_S, BIT_RATE)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scene.npz"
         write_npz(file, *SENSOR, [seen.events])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from heliograph_services.cli.studies.distribution import counts
+from heliograph_services.cli.studies.distribution import BIT_RATE, counts
 from heliograph_services.cli.studies.distribution_scene import SENSOR, scene
 from heliograph_services.cli.studies.link_runs import Link, play
 from heliograph_services.event_source.cameras.formats.npz import write_npz
@@ -16,10 +16,10 @@ SECONDS = 5.0
 
 
 def test_the_proxy_passes_the_bytes_that_are_published_within_a_twentieth(tmp_path: Path) -> None:
-    seen = scene(5, SECONDS)
+    seen = scene(5, SECONDS, BIT_RATE)
     file = tmp_path / "scene.npz"
     write_npz(file, *SENSOR, [seen.events])
-    heard = play(file, "seed11", 2000.0, Link(2e6, 0.05), tmp_path)
+    heard = play(file, "seed11", float(BIT_RATE), Link(2e6, 0.05), tmp_path)
     found = counts(seen, heard, SECONDS)
     print({name: value for name, value in found.items() if isinstance(value, (int, float))})
     assert found["refused"] == 0

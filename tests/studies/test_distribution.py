@@ -1,4 +1,4 @@
-"""Study 9: counts become figures, links are named, and its settings are those of the site with a radio."""
+"""Study 9: links and their tables, what its client keeps, and its settings: those of the site with a radio."""
 
 from __future__ import annotations
 
@@ -6,10 +6,7 @@ import socket
 import tomllib
 from pathlib import Path
 
-import numpy as np
-import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+import msgspec
 
 from heliograph.messages import Health
 from heliograph.shell.inbox import Sample
@@ -33,6 +30,7 @@ def done(link: dict[str, float] | None = None, **counts: object) -> Done:
         "records": 5,
         "refused": 0,
         "dropped": 3,
+        "decoder_share": [0.25, 0.35],
         "late_p99_ms": 1.5,
         "seconds": 12.0,
     }
@@ -46,43 +44,6 @@ def test_the_source_sends_onsets_as_the_site_with_a_radio_has_them() -> None:
     assert decoder["window_us"] == link_runs.WINDOW_US
 
 
-@given(st.lists(st.floats(0.2, 5_000.0), min_size=5, max_size=200), st.sampled_from([0.5, 0.95]))
-def test_a_quantile_of_binned_latencies_is_that_of_the_latencies_within_a_bin(values_ms: list[float], q: float) -> None:
-    binned = distribution.histogram([(ms / 1e3, 1_000_000 * (i % 3)) for i, ms in enumerate(values_ms)])
-    found = distribution.latency([done(frame_ms=binned)], "frame_ms", q)
-    exact = float(np.quantile(values_ms, q, method="inverted_cdf"))
-    assert found.n == len(values_ms)
-    assert found.value == pytest.approx(exact, rel=0.035)
-
-
-def test_the_interval_of_an_acquisition_time_is_that_of_order_statistics() -> None:
-    # Of twenty, the median lies between the 6th and the 15th with 95.9 % (tables of the sign test).
-    found = distribution.acquisition([done(acquired_ms=[float(i) for i in range(1, 21)])], 0.5)
-    assert (found.value, found.low, found.high) == (10.0, 6.0, 15.0)
-    late = distribution.acquisition([done(acquired_ms=[5.0, None, None])], 0.5)
-    assert (late.value, late.n) == (None, 3)
-    few = distribution.acquisition([done(acquired_ms=[1.0, 2.0, 3.0])], 0.95)
-    assert (few.value, few.high) == (3.0, None)
-
-
-def test_intervals_reach_from_run_to_run() -> None:
-    runs = [done(acquired_ms=[base + i / 10 for i in range(20)]) for base in (100.0, 200.0, 300.0)]
-    found = distribution.acquisition(runs, 0.5)
-    assert found.low is not None
-    assert found.high is not None
-    assert found.low < 102.0 < 300.0 < found.high
-    slow = [done(frame_ms={"0": {str(i): 50}, "1": {str(i): 50}}) for i in (60, 70, 80)]
-    late = distribution.latency(slow, "frame_ms", 0.5)
-    assert late.low is not None
-    assert late.high is not None
-    assert late.high / late.low == pytest.approx(distribution.STEP**20, rel=0.02)
-    bad = [done(blocks={"ours": [[0, i, 100, right] for i in range(30)]}) for right in (100, 100, 70)]
-    share = distribution.mar(bad)
-    assert share.value == 0.9
-    assert share.low == 0.7  # one draw in 27 has the bad run alone
-    assert share.high == 1.0
-
-
 def test_tables_have_a_row_a_link_and_the_ratio_of_the_bytes() -> None:
     cells = [done(), done(LINK), done(LINK, crossed=1060), done(LINK | {"cut_s": 2.0})]
     found, times, passed = distribution.tables(cells)
@@ -93,7 +54,20 @@ def test_tables_have_a_row_a_link_and_the_ratio_of_the_bytes() -> None:
     assert "ratio 1.020 to 1.060" in passed.rows[0].n
     assert found.rows[1].figures["MAR_sent"].value == 0.975
     assert [row.figures["dropped"].value for row in times.rows] == [3, 6, 3]
+    assert {row.figures["decoder"].value for row in times.rows} == {0.3}
     assert len(distribution.panels(cells)) == 2
+
+
+def test_the_decoders_share_of_a_core_is_of_seconds_in_which_the_recording_played() -> None:
+    heard = link_runs.Heard(origin_s=100.0, late_s=[100.0])
+    for at_s, share in ((100.5, 0.9), (102.0, 0.3), (103.0, 0.4), (104.5, 0.0)):
+        message = Health(
+            service="decoder", instance="a", pid=1, state="running", uptime_s=1.0, input_age_s=None, cpu_share=share,
+            counters={}, gauges={},
+        )  # fmt: skip
+        header = msgspec.structs.replace(header_of(message), mono_ns=round(at_s * 1e9))
+        heard.take(Sample("health", "k", b"", 1), header, message)
+    assert distribution.decoder_share(heard, 4.0) == [0.3, 0.4]
 
 
 def test_what_full_queues_dropped_is_what_each_process_said_last() -> None:

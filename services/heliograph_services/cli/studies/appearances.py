@@ -76,7 +76,7 @@ def scene(seed: int, seconds: float, folder: Path) -> Path:
         sends = f"payload = {payload}\nstart_us = {rng.integers(0, 5_500)}"
         if kind == "switched":
             file = folder / f"b{i:02d}.csv"
-            file.write_text(edges(int(payload), seconds, rng))
+            file.write_text(edges(int(payload), seconds, rng, BIT_RATE))
             sends = f'edges = "{file}"'
         jitter = rng.uniform(-0.1, 0.1, 2) * (kind == "switched", kind == "switched")
         text.append(BEACON.format(i=i, rate=BIT_RATE, sends=sends, x=x + jitter[0], y=y + jitter[1]))
@@ -86,15 +86,15 @@ def scene(seed: int, seconds: float, folder: Path) -> Path:
     return path
 
 
-def edges(payload: int, seconds: float, rng: np.random.Generator) -> str:
+def edges(payload: int, seconds: float, rng: np.random.Generator, bit_rate: int) -> str:
     """Return a beacon's edges: off, then frames for ON_S from a random instant on, again and again."""
     bits = np.array(modulation("seed11").encode(payload))
-    frames = round(ON_S * BIT_RATE / len(bits))
+    frames = round(ON_S * bit_rate / len(bits))
     level = np.concatenate([[0], np.tile(bits, frames), [0]])
     change = np.flatnonzero(np.diff(level)) + 1
     lines, t_s = ["t_ns,level"], float(rng.uniform(0.5, 4.5))
     while t_s < seconds:
-        lines += [f"{round(1e9 * (t_s + (k - 1) / BIT_RATE))},{level[k]}" for k in change]
+        lines += [f"{round(1e9 * (t_s + (k - 1) / bit_rate))},{level[k]}" for k in change]
         t_s += ON_S + float(rng.uniform(*DARK_S))
     return "\n".join(lines)
 

@@ -1,7 +1,7 @@
 """The scene of study 9: four moving beacons with new payloads, twelve that are switched on and off (`appearances`).
 
 The switched ones stand in two rows of six in the middle, 90 px and more apart; two moving ones are above and two below.
-So few, because a decoder behind scans needs half a core for six lights at 2 kbit/s, and shares two with all the rest.
+So few, because a decoder behind scans needs half a core for six lights at 2 kbit/s, and shares the rest with all else.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy.typing as npt
 from heliograph.events import EventBatch, concatenate
 from heliograph.streams import Events
 from heliograph.truth import Truth
-from heliograph_services.cli.studies.appearances import BIT_RATE, edges
+from heliograph_services.cli.studies.appearances import edges
 from heliograph_services.cli.studies.paths import TruePaths, true_paths
 from heliograph_services.cli.studies.running import Setting, opened
 from heliograph_services.cli.studies.verdicts import Sent, sent_frames
@@ -85,18 +85,18 @@ class Scene:
 
 
 @lru_cache(maxsize=1)
-def scene(seed: int, seconds: float) -> Scene:
+def scene(seed: int, seconds: float, bit_rate: int) -> Scene:
     """Simulate the scene of a seed."""
     rng = np.random.default_rng([seed, 9])
     payloads = rng.permutation(sendable("seed11", {}))[:SWITCHED].tolist()
     with tempfile.TemporaryDirectory(prefix="heliograph-study-") as name:
-        text, switched = SCENARIO.format(rate=BIT_RATE), dict[str, tuple[int, npt.NDArray[np.float64]]]()
+        text, switched = SCENARIO.format(rate=bit_rate), dict[str, tuple[int, npt.NDArray[np.float64]]]()
         for i, payload in enumerate(payloads):
             x, y = (i % 6 - 2.5) * 1.2 + rng.uniform(-0.1, 0.1), (-0.45, 0.45)[i // 6] + rng.uniform(-0.1, 0.1)
             file = Path(name) / f"s{i:02d}.csv"
-            lines = edges(payload, seconds, rng)
+            lines = edges(payload, seconds, rng, bit_rate)
             file.write_text(lines, encoding="utf-8")
-            text += BEACON.format(name=file.stem, rate=BIT_RATE, file=file, x=x, y=y)
+            text += BEACON.format(name=file.stem, rate=bit_rate, file=file, x=x, y=y)
             edge_us = np.array([float(line.partition(",")[0]) for line in lines.splitlines()[1:]]) / 1e3
             switched[file.stem] = payload, edge_us[np.diff(edge_us, prepend=-1e9) > 1e6]
         truths: list[Truth] = []

@@ -113,6 +113,7 @@ class Heard:
         crossed: bytes that the proxy passed, likewise; 0 without a link.
         refused: samples that were no records.
         dropped: service -> messages that its full queues dropped, as it said last.
+        decoder_share: when, and of a core in the second before, as the decoder says.
     """
 
     origin_s: float = math.inf
@@ -125,6 +126,7 @@ class Heard:
     crossed: int = 0
     refused: int = 0
     dropped: dict[str, int] = field(default_factory=dict)
+    decoder_share: list[tuple[float, float]] = field(default_factory=list)
 
     def take(self, sample: Sample, header: Header, message: Message) -> None:
         """Keep a record."""
@@ -144,6 +146,8 @@ class Heard:
         elif isinstance(message, Health):
             of = [n for name, n in message.counters.items() if name.startswith("dropped: ")]
             self.dropped[message.service] = sum(of)
+            if message.service == "decoder":
+                self.decoder_share.append((header.mono_ns / 1e9, message.cpu_share))
 
 
 def play(file: Path, protocol: str, bit_rate: float, link: Link | None, folder: Path) -> Heard:
