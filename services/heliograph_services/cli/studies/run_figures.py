@@ -58,7 +58,7 @@ def histogram(latencies: Sequence[tuple[float, int]]) -> Histogram:
 
 
 def latency(runs: Sequence[Histogram], q: float) -> Figure:
-    """Return a quantile of latencies, ms."""
+    """Return a quantile of latencies, ms; within its bin by rank, as though the bin were filled evenly."""
     runs = [run for run in runs if run]
     if not runs:
         return Figure(None)
@@ -69,19 +69,24 @@ def latency(runs: Sequence[Histogram], q: float) -> Figure:
             for i, n in second.items():
                 table[row, int(i)] = n
 
-    def quantile(sums: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        below = np.cumsum(sums, axis=-1)
-        at = (below < q * below[..., -1:]).sum(axis=-1)
-        out: npt.NDArray[np.float64] = LEAST_MS * STEP ** (at + 0.5)
-        return out
-
     every = np.vstack(tables)
     k = len(every)
     drawn = np.random.Generator(np.random.Philox(SEED)).multinomial(k, np.full(k, 1.0 / k), RESAMPLES)
-    low, high = np.quantile(quantile(drawn @ every), BOUNDS)
-    reach = between([math.log(quantile(table.sum(axis=0))) for table in tables])
-    value = float(quantile(every.sum(axis=0)))
+    low, high = np.quantile(_quantile(drawn @ every, q), BOUNDS)
+    reach = between([math.log(float(_quantile(table.sum(axis=0), q))) for table in tables])
+    value = float(_quantile(every.sum(axis=0), q))
     return _figure(value, (float(low), float(high)), (math.exp(reach[0]), math.exp(reach[1])), int(every.sum()), "ms")
+
+
+def _quantile(counts: npt.NDArray[np.float64], q: float) -> npt.NDArray[np.float64]:
+    """Return (...) quantiles, ms, of (..., bins) counts."""
+    below = np.cumsum(counts, axis=-1)
+    rank = q * below[..., -1:]
+    at = (below < rank).sum(axis=-1, keepdims=True)
+    inside = np.take_along_axis(counts, at, -1)
+    part = 1.0 - (np.take_along_axis(below, at, -1) - rank) / inside
+    out: npt.NDArray[np.float64] = LEAST_MS * STEP ** (at + part)[..., 0]
+    return out
 
 
 def acquisition(runs: Sequence[Sequence[float | None]], q: float) -> Figure:
