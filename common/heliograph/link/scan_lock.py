@@ -2,7 +2,8 @@
 
 The bits between the window's turns are known, if only nearly (a turn may have been missed, a burst's end be taken for
 one). They give a first response (`heliograph.link.scan_response`), the response better bits (Viterbi over the window,
-any bits equally likely), and these a better response, ROUNDS times.
+any bits equally likely), and these a better response, until the bits stay as they are, at most ROUNDS times. Scans of
+equal sub-bin and counts are equally likely in each context, so that this is computed once for all of a *kind*.
 
 Behind scans of half a bit a light may show no rises at all where edges and scans coincide, for a third of the slow beat
 of bits and scans. What is read there by itself is a guess that learns itself. So the window is read once more as frames
@@ -96,8 +97,27 @@ def _fold(likely: Floats, n: int) -> None:
 
 
 @numba.njit(nogil=True)
+def _kinds(placed: Floats, kind: Ints) -> Ints:
+    """Set kind (n,) of scans (n, 4) that are equal but for their slot; return (kinds,) the place of one of each."""
+    n = len(placed)
+    base = int(placed[:, 2:].max()) + 1 if n else 1
+    key = np.empty(n, np.int64)
+    for j in range(n):
+        key[j] = (int(placed[j, 1]) * base + int(placed[j, 2])) * base + int(placed[j, 3])
+    order = np.argsort(key)
+    example = np.empty(n, np.int64)
+    kinds = 0
+    for i in range(n):
+        if i == 0 or key[order[i]] != key[order[i - 1]]:
+            example[kinds] = order[i]
+            kinds += 1
+        kind[order[i]] = kinds - 1
+    return example[:kinds]
+
+
+@numba.njit(nogil=True)
 def _settle(
-    slot_scans: tuple[Floats, Ints, Floats, Ints],
+    slot_scans: tuple[Ints, Ints, Floats, Ints],
     n: int,
     q: float,
     bits: Ints,
@@ -107,8 +127,8 @@ def _settle(
     """Learn response and bits of a window from each other.
 
     Args:
-        slot_scans: (slots, ROOM, 3) and (slots,) as in the demodulator, and (m, 4) slot, sub-bin, OFF, ON events of
-            its scans, and (m,) their places in fit.
+        slot_scans: (slots, ROOM) and (slots,) which scans a slot has and how many; (m, 4) slot, sub-bin, OFF, ON
+            events of all, and (m,) their places in fit.
         n: bits of a frame if all frames are to be equal, else 0.
         q: length of a scan.
         bits: (slots + 1,) guessed; changed.
@@ -123,20 +143,32 @@ def _settle(
     slots = len(per_slot)
     mean, shape, least = np.empty(rate.shape), np.empty(rate.shape), np.empty(rate.shape)
     scale, likely, loglikelihood = np.empty(weight.shape), np.empty((slots, CONTEXTS)), np.empty(CONTEXTS)
+    kind, before = np.empty(len(placed), np.int64), np.empty(len(bits), np.int64)
+    example = _kinds(placed, kind)
+    of_kind = np.empty((len(example), CONTEXTS))
+    burst = 0.0
     if n > 0:
         _fold_bits(bits, n)
-    for _ in range(ROUNDS):
+    for last in range(ROUNDS + 1):
         scan_response.guess(bits, 2, placed, rate, weight)
         burst = scan_response.tabulate(rate, weight, q, mean, shape, least, scale)
+        if last == ROUNDS:
+            break
+        for i in range(len(example)):
+            one = placed[example[i] : example[i] + 1, 1:]
+            scan_response.likelihoods(one, 1, shape, least, scale, burst, of_kind[i])
         for s in range(slots):
-            scan_response.likelihoods(grouped[s], per_slot[s], shape, least, scale, burst, loglikelihood)
+            loglikelihood[:] = 0.0
+            for i in range(per_slot[s]):
+                loglikelihood += of_kind[kind[grouped[s, i]]]
             scan_demodulator.temper(loglikelihood, likely[s])
         likely[:] = np.log(likely)
         if n > 0:
             _fold(likely, n)
+        before[:] = bits
         _viterbi(likely, bits)
-    scan_response.guess(bits, 2, placed, rate, weight)
-    burst = scan_response.tabulate(rate, weight, q, mean, shape, least, scale)
+        if np.array_equal(before, bits):
+            break  # every further round would do the same
     f = max(1.0, burst / scan_response.WITNESSES)
     told = -(n if n > 0 else slots) * np.log(2.0)
     stray = scan_response.STRAY_SHARE * burst + scan_response.STRAY_EVENTS
@@ -175,7 +207,7 @@ def _entry(sources: int) -> Callable[..., tuple[float, Floats]]:
         row_of = np.empty(len(rows), np.int64)
         n = 0
         per_slot = np.zeros(slots, np.int64)
-        grouped = np.zeros((slots, scan_state.ROOM, 3))
+        grouped = np.zeros((slots, scan_state.ROOM), np.int64)
         for j in range(len(rows)):
             place = (rows[j, 0] - first) / period + 0.5
             s = int(np.floor(place))
@@ -184,11 +216,10 @@ def _entry(sources: int) -> Callable[..., tuple[float, Floats]]:
             k = min(int((place - s) * SUB), SUB - 1)
             placed[n, 0], placed[n, 1], placed[n, 2], placed[n, 3] = s, k, rows[j, 1], rows[j, 2]
             row_of[n] = j
-            n += 1
             if per_slot[s] < scan_state.ROOM:
-                here = grouped[s, per_slot[s]]
-                here[0], here[1], here[2] = k, rows[j, 1], rows[j, 2]
+                grouped[s, per_slot[s]] = n
                 per_slot[s] += 1
+            n += 1
         bits = np.zeros(slots + 1, np.int64)
         _levels(turn_t, turn_on, first, period, bits)
         repeated = bits.copy()

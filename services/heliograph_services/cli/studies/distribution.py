@@ -50,8 +50,8 @@ from heliograph_services.cli.studies.study import (
 from heliograph_services.cli.studies.verdicts import RIGHT, Sent, verdicts
 from heliograph_services.event_source.cameras.formats.npz import write_npz
 
-# A decoder behind scans takes half a core for six lights at this rate; at twice of it nearly all of the core, and the
-# study told of whatever else the machine did.
+# Five scans a bit. At twice this rate the decoder must tell apart the bits that share a scan, which took most of a
+# core, and the study told of whatever else the machine did.
 BIT_RATE: Final = 1_000
 EVIDENCE: Final[Evidence] = "simulated light, real processes"
 BIT_RATES: Final = (0.5e6, 2e6, 10e6)

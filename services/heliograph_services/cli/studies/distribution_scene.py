@@ -1,7 +1,7 @@
 """The scene of study 9: four moving beacons with new payloads, twelve that are switched on and off (`appearances`).
 
 The switched ones stand in two rows of six in the middle, 90 px and more apart; two moving ones are above and two below.
-So few, because a decoder behind scans takes half a core for six lights at 1 kbit/s, and shares two with all the rest.
+So few, because their decoder takes half a core of the two that it shares with all the rest.
 """
 
 from __future__ import annotations
