@@ -46,8 +46,11 @@ def rows() -> Iterator[Row]:
 
 
 def share(value: float) -> str:
-    """Return a share of one with three digits."""
-    return f"{value:.3f}".removeprefix("0")
+    """Return a share of one with three digits, or as many as keep less than one from being told as one."""
+    digits = 3
+    while value < 1.0 and round(value, digits) == 1.0:
+        digits += 1
+    return f"{value:.{digits}f}".removeprefix("0")
 
 
 def decimal(value: float, digits: int) -> str:

@@ -60,6 +60,11 @@ def test_a_readme_without_its_figures_is_refused() -> None:
         figures_of_readme().written("# heliograph\n")
 
 
+def test_no_share_below_one_is_told_as_one() -> None:
+    told = [figures_of_readme().share(value) for value in (1.0, 0.99992, 0.9994, 0.99951, 0.5, 0.0)]
+    assert told == ["1.000", ".9999", ".999", ".9995", ".500", ".000"]
+
+
 def results() -> list[Path]:
     return sorted((ROOT / "results").rglob("*.json"))
 
