@@ -99,8 +99,8 @@ def repeated_section() -> str:
     said = (
         "## A second run\n\nAll studies were run twice, from the same seeds. Counts are equal or not; of the study"
         " with real processes each second figure lies in the first's interval, or is listed. The same cells took"
-        f" {totals[0]:,.0f} CPU s, then {totals[1]:,.0f}: times are of a machine that is shared, and an interval from"
-        " twenty minutes of it does not hold for another hour. `bench/repeat_results.py`.\n\n"
+        f" {totals[0]:,.0f} CPU s, then {totals[1]:,.0f}: the machine is shared. Three runs leave an interval that a"
+        " second three, as wide apart, miss once in eleven times. `bench/repeat_results.py`.\n\n"
     )
     return said + table(("study", "first", "second", "CPU s", "equal", "different"), rows) + "\n"
 

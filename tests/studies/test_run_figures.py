@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from heliograph_services.cli.studies import run_figures
-from heliograph_services.cli.studies.run_figures import acquisition, between, histogram, latency, mean, of_runs
+from heliograph_services.cli.studies.run_figures import acquisition, between, histogram, latency, of_runs, quotient
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=10))
@@ -97,9 +97,9 @@ def test_runs_that_agree_have_the_interval_of_their_blocks() -> None:
     assert all_right.low == pytest.approx(0.05 ** (1 / 30), abs=1e-4)
 
 
-def test_a_mean_is_of_all_values_and_its_interval_of_runs() -> None:
-    found = mean([[0.2, 0.4], [0.3, 0.5]], "core")
-    assert (found.value, found.n, found.unit) == (0.35, 4, "core")
+def test_a_quotient_is_of_all_runs_and_its_interval_of_theirs() -> None:
+    found = quotient([0.6, 0.8], [2, 2], 3, "core")
+    assert (found.value, found.n, found.unit) == (0.35, 2, "core")
     assert (found.low, found.high) == (0.0, 0.985)  # .35 -+ 12.706 * .0707 / sqrt(2), and nothing below 0
-    assert mean([[0.2]], "core").low is None
-    assert mean([], "core").value is None
+    assert quotient([3.0], [1.0], 1).low is None
+    assert quotient([], [], 1).value is None

@@ -24,15 +24,15 @@ STUDIES: Final[dict[str, str]] = {
 # About how many CPU seconds a full and a quick run take on a core of two shared ones (x86, 2026): from whole runs.
 COST_S: Final[dict[str, tuple[int, int]]] = {
     "scene": (20, 10),
-    "bit_rate": (2200, 20),
-    "distance": (2350, 20),
-    "moving": (1800, 10),
+    "bit_rate": (2050, 20),
+    "distance": (2200, 20),
+    "moving": (1700, 10),
     "methods": (530, 10),
     "wavelength": (75, 1),
     "recordings": (35, 10),
-    "false_alarms": (2800, 20),
-    "crowd_size": (875, 20),
-    "distribution": (1100, 60),
+    "false_alarms": (2700, 20),
+    "crowd_size": (850, 20),
+    "distribution": (1150, 50),
 }
 _PACKAGE: Final = "heliograph_services.cli.studies"
 

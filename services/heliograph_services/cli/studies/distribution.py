@@ -212,7 +212,8 @@ def tables(done: Sequence[Done]) -> list[Table]:
         late_of = {label: run_figures.latency([o.counts[kind] for o in some], q) for label, kind, q in _LATENCIES}
         n = f"{late_of[TIMES[0]].n} frames, {late_of[TIMES[2]].n} tracks messages, {len(some)} runs"
         dropped = Figure(sum(one.counts["dropped"] for one in some), unit="messages")
-        core = run_figures.mean([one.counts["decoder_share"] for one in some], "core")
+        shares = [one.counts["decoder_share"] for one in some if one.counts["decoder_share"]]
+        core = run_figures.quotient([sum(one) for one in shares], [len(one) for one in shares], 3, "core")
         of_all = {**late_of, TIMES[4]: Figure(late, unit="ms"), TIMES[5]: dropped, TIMES[6]: core}
         times.append(Row(name, "-", of_all, "", n, EVIDENCE))
         if some[0]["link"] is not None:
@@ -246,16 +247,15 @@ _LATENCIES: Final = (
 
 
 def _bytes(name: str, some: Sequence[Done]) -> Row:
-    published = np.array([one.counts["published"] for one in some], np.float64)
-    crossed = np.array([one.counts["crossed"] for one in some], np.float64)
-    seconds = sum(one.counts["seconds"] for one in some)
-    ratios = crossed / published
-    each = f"{ratios.min():.3f} to {ratios.max():.3f}"
+    published, crossed, seconds = ([one.counts[name] for one in some] for name in ("published", "crossed", "seconds"))
+    ms = [1e3 * one for one in seconds]
+    ratios = [one / whole for one, whole in zip(crossed, published, strict=True)]
     figures = {
-        BYTES[0]: Figure(run_figures.short(published.sum() / seconds / 1e3), n=len(some), unit="kB/s"),
-        BYTES[1]: Figure(run_figures.short(crossed.sum() / seconds / 1e3), n=len(some), unit="kB/s"),
-        BYTES[2]: Figure(round(float(crossed.sum() / published.sum()), 4), n=len(some)),
+        BYTES[0]: run_figures.quotient(published, ms, 2, "kB/s"),
+        BYTES[1]: run_figures.quotient(crossed, ms, 2, "kB/s"),
+        BYTES[2]: run_figures.quotient(crossed, published, 4),
     }
+    each = f"{min(ratios):.3f} to {max(ratios):.3f}"
     records = sum(one.counts["records"] for one in some)
     return Row(name, "-", figures, "", f"{records} records, {len(some)} runs, ratio {each}", EVIDENCE)
 

@@ -138,15 +138,22 @@ def of_runs(runs: Sequence[npt.NDArray[np.int64]]) -> Figure:
     return Figure(found.value, round(low, 5), round(high, 5), found.n)
 
 
-def mean(runs: Sequence[Sequence[float]], unit: str) -> Figure:
-    """Return the mean of values, of which each run has some."""
-    every = [value for run in runs for value in run]
-    if not every:
+def quotient(part: Sequence[float], whole: Sequence[float], digits: int, unit: str = "") -> Figure:
+    """Return sum(part) / sum(whole), not below 0, of (k,) runs each; n is their number.
+
+    Args:
+        part: of each run.
+        whole: of each run, none 0.
+        digits: behind the point.
+        unit: of the quotient.
+    """
+    if not part:
         return Figure(None, unit=unit)
-    low, high = between([statistics.fmean(run) for run in runs if run])
+    value = round(sum(part) / sum(whole), digits)
+    low, high = between([one / n for one, n in zip(part, whole, strict=True)])
     if math.isnan(low):
-        return Figure(short(statistics.fmean(every)), n=len(every), unit=unit)
-    return Figure(short(statistics.fmean(every)), short(max(0.0, low)), short(high), len(every), unit)
+        return Figure(value, n=len(part), unit=unit)
+    return Figure(value, round(max(0.0, low), digits), round(high, digits), len(part), unit)
 
 
 def _wider(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
@@ -156,9 +163,8 @@ def _wider(one: tuple[float, float], other: tuple[float, float]) -> tuple[float,
 
 def _figure(value: float, one: tuple[float, float], other: tuple[float, float], n: int, unit: str) -> Figure:
     low, high = _wider(one, other)
-    return Figure(short(value), short(low), None if math.isinf(high) else short(high), n, unit)
+    return Figure(_short(value), _short(low), None if math.isinf(high) else _short(high), n, unit)
 
 
-def short(value: float) -> float:
-    """Return a value with three digits."""
+def _short(value: float) -> float:
     return float(f"{value:.3g}")
