@@ -48,3 +48,33 @@ def test_a_scene_of_every_protocol_compiles_nothing_after_warming() -> None:
     assert identified == ["crane", "gate", "lift", "mixer", "truck"]
     assert compiled_late == []
     assert known > 10
+
+
+AGAIN = """
+import json
+from numba.core import event
+from heliograph_services.cli import warm
+
+compiled = []
+
+class Noted(event.Listener):
+    def on_start(self, told):
+        compiled.append(told.data["dispatcher"].py_func)
+
+    def on_end(self, told):
+        pass
+
+event.register("numba:compile", Noted())
+warm.main()
+print(json.dumps([f"{f.__module__}.{f.__name__}" for f in compiled if f.__module__.startswith("heliograph")]))
+"""
+
+
+def test_a_second_start_compiles_nothing() -> None:
+    # Kernels that Python calls are kept on disk, whatever they call in turn is within them: one that is not is compiled
+    # by every process that starts (ten seconds of a core, once).
+    first, second = (
+        subprocess.run([sys.executable, "-c", AGAIN], capture_output=True, text=True, check=True, timeout=110)
+        for _ in range(2)
+    )
+    assert json.loads(second.stdout.splitlines()[-1]) == [], first.stdout

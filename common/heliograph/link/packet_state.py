@@ -6,17 +6,20 @@ share; slot m lives at m mod the ring's length, which holds a packet.
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from collections.abc import Callable
+from typing import Final, NamedTuple, cast
 
+import numba
 import numpy as np
 import numpy.typing as npt
 
-from heliograph.link import packet_response, response
+from heliograph.link import clock, packet_response, response
 from heliograph.link import state as shared
 from heliograph.link.clock import SUB, Floats
 from heliograph.link.convolutional import TAIL
 from heliograph.link.packet_layout import Ints, Layout
 from heliograph.link.packet_response import FIGURES, ROWS
+from heliograph.link.stamp import stamp
 from heliograph.link.viterbi import SIGNS, Octets
 
 # Further places in `ints`.
@@ -99,6 +102,20 @@ def new_state(layout: Layout) -> PacketState:
     )
 
 
+def _entry(sources: int) -> Callable[[Floats, Floats, Floats, Floats], None]:
+    """Return `packet_response.tabulate`, cached under these sources (`heliograph.link.stamp`)."""
+
+    @numba.njit(cache=True, nogil=True)
+    def kernel(rate: Floats, logs: Floats, total: Floats, figures: Floats) -> None:
+        if sources >= 0:
+            packet_response.tabulate(rate, logs, total, figures)
+
+    return cast("Callable[[Floats, Floats, Floats, Floats], None]", kernel)
+
+
+_TABULATE: Final = _entry(stamp(clock, packet_response, response))
+
+
 def start(state: PacketState, folded: Floats | None, found: Floats) -> None:
     """Begin with a new lock.
 
@@ -119,4 +136,4 @@ def start(state: PacketState, folded: Floats | None, found: Floats) -> None:
         response.start(folded, found[3], 0.0, pairs, seen)
         packet_response.from_pairs(pairs, state.model)
     state.seen[:] = 0
-    packet_response.tabulate(state.model, state.logs, state.total, state.figures)
+    _TABULATE(state.model, state.logs, state.total, state.figures)

@@ -198,10 +198,14 @@ def _entry(sources: int) -> Callable[..., tuple[float, Floats]]:
         period: float,
         q: float,
         frame_bits: int,
-        rate: Floats,
-        weight: Floats,
+        learned: tuple[Floats, Floats],
+        table: tuple[Floats, Floats, Floats, Floats],
     ) -> tuple[float, Floats]:
-        """See `begin`; rows (n, 3) are all scans of the window. Return a burst's events and each's log-likelihood."""
+        """See `begin`; rows (n, 3) are all scans of the window. Return a burst's events and each's log-likelihood.
+
+        Sets rate and weight, and of these the table: mean, shape, least and scale.
+        """
+        rate, weight = learned
         slots = min(int((rows[-1, 0] - first) / period + 0.5) + 1, _SLOTS) if sources >= 0 else 0
         placed = np.empty((len(rows), 4))
         row_of = np.empty(len(rows), np.int64)
@@ -232,7 +236,8 @@ def _entry(sources: int) -> Callable[..., tuple[float, Floats]]:
             if other_told > told:
                 rate[:] = other_rate
                 weight[:] = other_weight
-                return other_burst, other
+                burst, fit = other_burst, other
+        scan_response.tabulate(rate, weight, q, table[0], table[1], table[2], table[3])
         return burst, fit
 
     return cast("Callable[..., tuple[float, Floats]]", kernel)
@@ -268,8 +273,8 @@ def begin(
         return None
     rows = scans.all_scans(at, counts, q, until)
     first, period = float(found[0]), float(found[1])
-    burst, fit = _KERNEL(rows, turns[0], turns[1], first, period, q, frame_bits, scanned.rate, scanned.weight)
-    scan_response.tabulate(scanned.rate, scanned.weight, q, scanned.mean, scanned.shape, scanned.least, scanned.scale)
+    learned, table = (scanned.rate, scanned.weight), (scanned.mean, scanned.shape, scanned.least, scanned.scale)
+    burst, fit = _KERNEL(rows, turns[0], turns[1], first, period, q, frame_bits, learned, table)
     scanned.floats[:] = 0.0
     scanned.floats[scan_state.QUANTUM] = q
     scanned.floats[scan_state.SCAN] = rows[0, 0] - q
