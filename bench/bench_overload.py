@@ -5,9 +5,8 @@
 Sixteen lights at 2 kbit/s, six lit at a time (the scene of `heliograph evaluate distribution`, at twice its bit rate;
 development seed 5, twelve seconds). The real core is fed through the real `Inbox` by a simulated clock: a message
 arrives at its camera time, and keeps the core busy for the CPU time that it took, scaled so that the scene alone keeps
-it busy for LOAD of
-the time. From 3 to 5 s the core is `slow` times as slow; `for good` is slow from 3 s on. The queue holds a second of
-events, as a live site's.
+it busy for LOAD of the time. From 3 to 5 s the core is `slow` times as slow; `for good` is slow from 3 s on. The queue
+holds a second of events, as a live site's.
 
     oldest   a full queue drops its oldest message
     all      a full queue drops all that waits (`heliograph.shell.inbox`)

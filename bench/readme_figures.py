@@ -2,7 +2,7 @@
 
 A row: what was measured, its evidence, the figure as the stored results give it, where it comes from. No figure is
 typed here, but one that a test counts (`_beacon`): numbers of a row's first column are conditions (a bit rate, a
-distance). Shares are told with three digits.
+distance). Shares are told with three digits, or more where less than one would read as one.
 A row whose result is not there is an error: README's figures are those of every result that the project ships.
 """
 

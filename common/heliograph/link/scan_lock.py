@@ -116,6 +116,69 @@ def _kinds(placed: Floats, kind: Ints) -> Ints:
 
 
 @numba.njit(nogil=True)
+def _tell(
+    placed: Floats, row_of: Ints, bits: Ints, burst: float, mean: Floats, known: tuple[Floats, Floats, Floats],
+    fit: Floats, told: float,
+) -> float:  # fmt: skip
+    """Return told and the scans' log-likelihood by rates known as well as seen; add to fit that by the mean rates.
+
+    Args:
+        placed: (m, 4) slot, sub-bin, OFF, ON events.
+        row_of: (m,) their places in fit.
+        bits: (slots + 1,).
+        burst: events of a burst's scan.
+        mean: (16, 2, SUB), as `known`, shape, least and scale, of `scan_response.tabulate`.
+        known: see mean.
+        fit: of each scan of the window, in nats; changed.
+        told: what the bits cost, in nats.
+    """
+    shape, least, scale = known
+    f = max(1.0, burst / scan_response.WITNESSES)
+    stray = scan_response.STRAY_SHARE * burst + scan_response.STRAY_EVENTS
+    for j in range(len(placed)):
+        s, k = int(placed[j, 0]), int(placed[j, 1])
+        if s >= 2:
+            x = 8 * bits[s - 2] + 4 * bits[s - 1] + 2 * bits[s] + bits[s + 1]
+            off, on = placed[j, 2] / f, placed[j, 3] / f
+            told += scan_response.likelihood(off, on, x, k, shape, least, scale)
+            told -= math.lgamma(off + 1.0) + math.lgamma(on + 1.0)
+            for p in range(2):
+                full = mean[x, p, k] + stray
+                fit[row_of[j]] += (placed[j, 2 + p] * np.log(full) - full) / f
+    return told
+
+
+@numba.njit(nogil=True)
+def _weigh(
+    slot_scans: tuple[Ints, Ints, Floats, Ints], kind: Ints, example: Ints, known: tuple[Floats, Floats, Floats],
+    burst: float, of_kind: Floats, likely: Floats,
+) -> None:  # fmt: skip
+    """Set likely (slots, 16) to each slot's tempered log-likelihoods, each kind of scan computed once.
+
+    Args:
+        slot_scans: see `_settle`.
+        kind: (m,) of each scan.
+        example: (kinds,) the place of one of each.
+        known: shape, least and scale, of `scan_response.tabulate`.
+        burst: events of a burst's scan.
+        of_kind: (kinds, 16) scratch.
+        likely: out.
+    """
+    grouped, per_slot, placed, _ = slot_scans
+    shape, least, scale = known
+    for i in range(len(example)):
+        one = placed[example[i] : example[i] + 1, 1:]
+        scan_response.likelihoods(one, 1, shape, least, scale, burst, of_kind[i])
+    loglikelihood = np.empty(CONTEXTS)
+    for s in range(len(per_slot)):
+        loglikelihood[:] = 0.0
+        for i in range(per_slot[s]):
+            loglikelihood += of_kind[kind[grouped[s, i]]]
+        scan_demodulator.temper(loglikelihood, likely[s])
+    likely[:] = np.log(likely)
+
+
+@numba.njit(nogil=True)
 def _settle(
     slot_scans: tuple[Ints, Ints, Floats, Ints],
     n: int,
@@ -138,11 +201,11 @@ def _settle(
     Returns:
         Events of a burst's scan, and log-likelihood by rates known as well as seen, less what the bits cost.
     """  # fmt: skip
-    grouped, per_slot, placed, row_of = slot_scans
+    _, per_slot, placed, row_of = slot_scans
     rate, weight = learned
     slots = len(per_slot)
     mean, shape, least = np.empty(rate.shape), np.empty(rate.shape), np.empty(rate.shape)
-    scale, likely, loglikelihood = np.empty(weight.shape), np.empty((slots, CONTEXTS)), np.empty(CONTEXTS)
+    scale, likely = np.empty(weight.shape), np.empty((slots, CONTEXTS))
     kind, before = np.empty(len(placed), np.int64), np.empty(len(bits), np.int64)
     example = _kinds(placed, kind)
     of_kind = np.empty((len(example), CONTEXTS))
@@ -154,35 +217,16 @@ def _settle(
         burst = scan_response.tabulate(rate, weight, q, mean, shape, least, scale)
         if last == ROUNDS:
             break
-        for i in range(len(example)):
-            one = placed[example[i] : example[i] + 1, 1:]
-            scan_response.likelihoods(one, 1, shape, least, scale, burst, of_kind[i])
-        for s in range(slots):
-            loglikelihood[:] = 0.0
-            for i in range(per_slot[s]):
-                loglikelihood += of_kind[kind[grouped[s, i]]]
-            scan_demodulator.temper(loglikelihood, likely[s])
-        likely[:] = np.log(likely)
+        _weigh(slot_scans, kind, example, (shape, least, scale), burst, of_kind, likely)
         if n > 0:
             _fold(likely, n)
         before[:] = bits
         _viterbi(likely, bits)
         if np.array_equal(before, bits):
             break  # every further round would do the same
-    f = max(1.0, burst / scan_response.WITNESSES)
     told = -(n if n > 0 else slots) * np.log(2.0)
-    stray = scan_response.STRAY_SHARE * burst + scan_response.STRAY_EVENTS
     fit[:] = told / len(fit)
-    for j in range(len(placed)):
-        s, k = int(placed[j, 0]), int(placed[j, 1])
-        if s >= 2:
-            x = 8 * bits[s - 2] + 4 * bits[s - 1] + 2 * bits[s] + bits[s + 1]
-            off, on = placed[j, 2] / f, placed[j, 3] / f
-            told += scan_response.likelihood(off, on, x, k, shape, least, scale)
-            told -= math.lgamma(off + 1.0) + math.lgamma(on + 1.0)
-            for p in range(2):
-                full = mean[x, p, k] + stray
-                fit[row_of[j]] += (placed[j, 2 + p] * np.log(full) - full) / f
+    told = _tell(placed, row_of, bits, burst, mean, (shape, least, scale), fit, told)
     return float(burst), float(told)
 
 

@@ -50,11 +50,11 @@ from heliograph_services.cli.studies.study import (
 from heliograph_services.cli.studies.verdicts import RIGHT, Sent, verdicts
 from heliograph_services.event_source.cameras.formats.npz import write_npz
 
-# Five scans a bit. At twice this rate the decoder must tell apart the bits that share a scan, which took most of a
-# core, and the study told of whatever else the machine did.
+# Of the beacons: five scans a bit. At twice this rate the decoder reads scan by scan, which took most of a core, and
+# the study told of whatever else the machine did.
 BIT_RATE: Final = 1_000
 EVIDENCE: Final[Evidence] = "simulated light, real processes"
-BIT_RATES: Final = (0.5e6, 2e6, 10e6)
+LINK_BIT_RATES: Final = (0.5e6, 2e6, 10e6)
 DELAYS_MS: Final = (5.0, 50.0, 200.0)
 # The radio of the shipped site.
 CUT_RATE, CUT_DELAY_MS, CUT_AT_S = 2e6, 50.0, 4.0
@@ -69,7 +69,7 @@ def cells(size: Size) -> list[Parameters]:
     """Return all cells: link, run; the scene of a run is simulated once for all links."""
     if size == "quick":
         return [_cell(link, 0, 6.0) for link in (None, _link(2e6, 50.0))]
-    links = [None, *(_link(rate, delay_ms) for rate in BIT_RATES for delay_ms in DELAYS_MS)]
+    links = [None, *(_link(rate, delay_ms) for rate in LINK_BIT_RATES for delay_ms in DELAYS_MS)]
     links += [_link(CUT_RATE, CUT_DELAY_MS, cut_s) for cut_s in CUTS_S]
     return [_cell(link, run, SECONDS_S) for run in range(RUNS) for link in links]
 
